@@ -25,14 +25,15 @@ if TYPE_CHECKING:
     from bayesfric.fit.result import report, summary
     from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
+    from bayesfric.mechanism.experiment import simulate
     from bayesfric.mechanism.joint import Joint
     from bayesfric.mechanism.own_term import Term
-    from bayesfric.recordings.recording import Recording
+    from bayesfric.recordings.source import Recording
     from bayesfric.rollouts.rollout import rollout
 
 __all__ = [
     "Arm", "BadInput", "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check",
-    "export", "plot", "report", "rollout", "summary",
+    "export", "plot", "report", "rollout", "simulate", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
@@ -44,13 +45,14 @@ _HOMES = {
     "Joint": "mechanism.joint",
     "Load": "mechanism.element",
     "Model": "fit.model",
-    "Recording": "recordings.recording",
+    "Recording": "recordings.source",
     "Term": "mechanism.own_term",
     "check": "fit.check_report",
     "export": "export.exported",
     "plot": "plot",
     "report": "fit.result",
     "rollout": "rollouts.rollout",
+    "simulate": "mechanism.experiment",
     "summary": "fit.result",
 }
 

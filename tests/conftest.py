@@ -45,7 +45,7 @@ LONG = {
     "commands": """
         doubts estimate explain fit identify runs""",
     "diagnostics": """
-        calibration_check explanation laid_beside regression""",
+        calibration_check explanation regression""",
     "estimates": """
         attenuation collinear_losses delay input_error output_error shooting""",
     "export": """
@@ -55,7 +55,7 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy fast_moments likelihood_dense moves sampling
+        discrepancy fast_moments likelihood_dense proposals sampling
         static_friction stiction_violations""",
     "mechanism": """
         closed_loop quantities""",

@@ -17,7 +17,7 @@ from scipy import stats
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value
 from tests.axis import swing
 from tests.commands.bench import Bench, without_figures

@@ -40,7 +40,7 @@ SIMULATION = {
 
 @pytest.fixture(scope="module")
 def recording():
-    table = JOINT.with_term(COGGING).simulate(TRUE, **SIMULATION, seed=3)
+    table = bf.simulate(JOINT.with_term(COGGING), TRUE, **SIMULATION, seed=3)
     return recording_of(table, name="bench")
 
 
@@ -107,7 +107,7 @@ def test_a_run_is_read_again_only_with_its_term(run, model):
 def test_a_term_of_time_at_the_load():
     drift = bf.Term("load.drift", lambda m: np.exp(-0.3 * m.time), unit="N m")
     true = {name: value for name, value in TRUE.items() if name != "motor.cogging"}
-    table = JOINT.with_term(drift).simulate(true | {"load.drift": 0.3}, **SIMULATION, seed=4)
+    table = bf.simulate(JOINT.with_term(drift), true | {"load.drift": 0.3}, **SIMULATION, seed=4)
     model = bf.Model(JOINT.with_term(drift), recording_of(table))
     row = model.estimate("input-error").loc["load.drift"]
     assert abs(row["value"] - 0.3) < 5.0 * row["sd_robust"]

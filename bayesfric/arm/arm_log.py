@@ -15,7 +15,7 @@ from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import derivative, reach_of
+from bayesfric.recordings.filters import derivative, lowpass_above, reach_of
 from bayesfric.recordings.measurement import Measurement, spread_ranges
 from bayesfric.recordings.observation import filtered_motion
 from bayesfric.recordings.read import (
@@ -25,12 +25,10 @@ from bayesfric.recordings.read import (
     read_recordings,
     recorded_time,
 )
+from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import named, recognise
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.resolution import lowpass_above
-from bayesfric.recordings.source import CHANNELS, SI, Columns, Source, Torque
-from bayesfric.recordings.tables import Table, read_table
-from bayesfric.recordings.tables.reader import TableOptions
+from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source, Torque
+from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
 
 URDF_TORQUE = "urdf_torque"

@@ -30,7 +30,7 @@ from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
 
@@ -203,7 +203,7 @@ def _precision(joint: FittedJoint) -> Array:
     """Precision ``(5, 5)`` of a joint's friction, zero of numbers that it does not have."""
     sd = np.full(len(NUMBERS), np.inf)
     for k, key in enumerate(NUMBERS):
-        sds = [row.reported.sd for row in joint.number_rows(key) if row.reported is not None]
+        sds = [row.reported.sd for row in joint.number_rows(key)]
         if sds:
             sd[k] = np.mean(sds)
     return np.diag(sd**-2.0)

@@ -105,10 +105,9 @@ def _identified(arm: FittedArm) -> Identified:
         texts = []
         for key in NUMBERS:
             for row in joint.number_rows(key):
-                if row.reported is not None:
-                    low, high = row.reported.interval
-                    interval = f"[{low:.3g}, {high:.3g}] {row.unit}".strip()
-                    texts.append(f"{key} {row.value:.3g} {interval}, {row.reported.status}")
+                low, high = row.reported.interval
+                interval = f"[{low:.3g}, {high:.3g}] {row.unit}".strip()
+                texts.append(f"{key} {row.value:.3g} {interval}, {row.reported.status}")
         remarks.append(f"{name}: {'; '.join(texts) or 'not fitted'}")
         if joint.result is not None and (terms := joint.result.summary.taken):
             remarks.append(f"{name}: not written here: {listed([t.kind for t in terms])}")

@@ -33,8 +33,7 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.rendering import render
 from bayesfric.report.summary.parts import validation_record
-from bayesfric.report.summary.record import Validation
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow, Validation
 from bayesfric.report.terminal import printed_row
 from bayesfric.report.words import listed
 
@@ -117,9 +116,9 @@ class FittedJoint:
             "sampler": summary.sampler.status,
             "fit": summary.fit.model_dump(include={"residual_rms", "explained", "unit"}),
             "parameters": {
-                name: {"unit": row.unit, **row.reported.model_dump(exclude={"how"})}
+                name: {"unit": row.unit, **row.reported.model_dump()}
                 for name, row in self.rows.items()
-                if row.reported and not name.startswith("noise.")
+                if not name.startswith("noise.")
             },
             "added": [term.kind for term in summary.taken],
             "findings": [finding.kind for finding in summary.findings],
@@ -167,8 +166,7 @@ class FittedArm:
                 rows = updated_rows(joint_fit, posterior)
             if held_out := joint.result.model.held_out:
                 predictions = predict_held_out(fit.target, posterior, held_out)
-                record = validation_record(replace(fit, held_out=predictions))
-                validation = Validation.model_validate(record)
+                validation = validation_record(replace(fit, held_out=predictions))
             updated[name] = replace(
                 joint,
                 rows=rows,
@@ -305,7 +303,7 @@ class FittedArm:
 
 def _cell(row: PosteriorRow | None) -> tuple[str, str]:
     """Format a number with its status, and its interval with the unit."""
-    if row is None or row.reported is None:
+    if row is None:
         return TEXT.none, ""
     printed = printed_row("", row.reported, row.unit, row.level)
     value, interval = (printed.value, printed.status), (printed.interval, printed.unit)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.safe_read import read_text
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.mechanism.quantities import Motion
 from bayesfric.recordings.arrays import Array
 

@@ -28,10 +28,8 @@ from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.summary.conclusions import told_by_data
 from bayesfric.report.summary.derived_quantities import leaning, spread
-from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.results.reported import Spread, concluded
+from bayesfric.report.summary.record import PosteriorRow
 
 _DRAWS = 4000
 # Share of the prior's variance that data must remove before a direction is tested.
@@ -122,7 +120,7 @@ class JointFit:
         """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""
         wide, columns = self.fit.wide.posterior, []
         for name in (f"load.{signal}" for signal in signals(self.directions.shape[1])):
-            k, reported = wide.names.index(name), self.rows[name].printed.value
+            k, reported = wide.names.index(name), self.rows[name].reported.value
             columns.append(flat[:, k] + reported - np.median(wide[name]))
         return np.stack(columns, axis=1) if columns else np.zeros((len(flat), 0))
 
@@ -216,7 +214,7 @@ def updated_rows(joint: JointFit, posterior: Posterior) -> dict[str, PosteriorRo
     priors = dict(zip(posterior.names, posterior.priors, strict=True))
     bounds = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     for name, row in joint.rows.items():
-        if name not in bounds or row.reported is None:
+        if name not in bounds:
             rows[name] = row
             continue
         k, reported = posterior.names.index(name), row.reported
@@ -232,14 +230,6 @@ def updated_rows(joint: JointFit, posterior: Posterior) -> dict[str, PosteriorRo
         if row.verdict == "weak" and sd < WIDE * (row.prior_sd or math.inf):
             update["verdict"] = "data"  # of all joints, and the URDF
         updated = row.model_copy(update=update)
-        identified = updated.verdict == "data" or told_by_data(updated)
-        conclusion = concluded(
-            Spread(value, low, high, sd),
-            verdict=updated.verdict,
-            own_prior=reported.status == "prior",
-            converged=reported.how.converged,
-            limit=updated.at_bound if updated.at_bound is not None and identified else None,
-            findings=reported.how.findings,
-        )
+        conclusion = updated.conclude(value, (low, high), sd)
         rows[name] = updated.model_copy(update={"reported": conclusion})
     return rows

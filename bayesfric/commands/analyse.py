@@ -16,12 +16,12 @@ from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.diagnostics.before_a_fit import little_explained
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.explanation import Finding
+from bayesfric.estimates import METHODS
 from bayesfric.estimates.methods import TITLES
-from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.fit.model import Model
 from bayesfric.identifiability.next_recording import ASSUMPTION
-from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.summary.summary import estimate_table
 from bayesfric.report.terminal import wrapped
 from bayesfric.report.words import clause, doubt_text, filled, line_of
 
@@ -37,7 +37,7 @@ def estimate(
     references = model.references()
     record = {
         "config": str(model.config.path),
-        "estimates": {estimate.method: estimate_summary(estimate) for estimate in estimates},
+        "estimates": {x.method: estimate_table(x).as_dict() for x in estimates},
         "references": references,
     }
     lines = []

@@ -21,7 +21,7 @@ from typer import Argument, Option
 from bayesfric.base import LINEAR_ALGEBRA_THREADS, __version__
 from bayesfric.base.errors import BadInput, Interrupted
 from bayesfric.base.progress import Timer, progress_shown, time_text
-from bayesfric.estimates.point_estimate import METHODS
+from bayesfric.estimates import METHODS
 
 if TYPE_CHECKING:
     from bayesfric.fit.model import Model
@@ -234,22 +234,21 @@ def report(run: RunFolder, paper: Paper = False, as_json: AsJson = False) -> Non
 @app.command()
 def rollout(
     run: RunFolder,
-    config: Path | None = Argument(
-        None, metavar="CONFIG", help="with other recordings"
-    ),
+    config: Path | None = Argument(None, metavar="CONFIG", help="with other recordings"),
     draws: int = Option(100, min=2, max=10_000, help="of the posterior"),
     every: bool = Option(False, "--all", help="also what was fitted, not held out"),
     seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
     """Play recordings to the joint: how far its simulated motion is from the measured one."""
+    from bayesfric.base.atomic_write import jsonable
     from bayesfric.commands.runs import rollout as play
     from bayesfric.commands.runs import rollout_text
 
     with _progress() as progress:
         result = play(run, config, draws=draws, seed=seed, every=every, progress=progress)
     written = f"Added to {run}: report.html, figures/rollout.pdf, summary.json"
-    _print(result.as_dict(), as_json, [*rollout_text(result), written])
+    _print(jsonable(result), as_json, [*rollout_text(result), written])
 
 
 @app.command()

@@ -18,12 +18,11 @@ from pydantic_core import to_jsonable_python
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import environment
 from bayesfric.fleet.plan import FleetTables
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Tables
 from bayesfric.problem.config_text import toml_value
+from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import Chosen, Log, recognise
-from bayesfric.recordings.tables import read_table
-from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.units import OPEN
 
 # Name in place of a preset.

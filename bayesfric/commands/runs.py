@@ -12,7 +12,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesfric.base.atomic_write import add_files, check_output_folder, new_folder, write_files
+from bayesfric.base.atomic_write import (
+    add_files,
+    check_output_folder,
+    jsonable,
+    new_folder,
+    write_files,
+)
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.base.safe_read import read_text
@@ -26,7 +32,7 @@ from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.words import filled, line_of
 
 if TYPE_CHECKING:
-    from bayesfric.report.summary.rows import RollOutPart
+    from bayesfric.results.roll_out import RollOutPart
 
 
 def report(
@@ -57,16 +63,16 @@ def report(
 
 def _paper_figures(run: Path, progress: ProgressCallback) -> tuple[list[str], Any]:
     """Draw a run's figures again; return their files, and its summary."""
-    from bayesfric.fit.finished_run import fit_of
+    from bayesfric.fit.result import Result
     from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.run_directory import draw
 
     progress(Progress("recordings"))
-    fit, summary = fit_of(run)
+    result = Result.read(run)
     with add_files(run / "figures") as folder:
-        draw(folder, FinishedRun(fit, summary), IN_PAPER, progress)
-        return [f"figures/{file.name}" for file in sorted(folder.iterdir())], summary
+        draw(folder, FinishedRun(result.fit, result.summary), IN_PAPER, progress)
+        return [f"figures/{file.name}" for file in sorted(folder.iterdir())], result.summary
 
 
 def rollout(
@@ -86,7 +92,6 @@ def rollout(
     from bayesfric.report.figures.prediction import rollout_figure
     from bayesfric.report.figures.registry import ROLL_OUT, read_captions
     from bayesfric.report.figures.style import save
-    from bayesfric.report.summary.rows import rollout_part
     from bayesfric.rollouts.rollout import rollout as simulated
 
     # keys that another version wrote are kept
@@ -96,14 +101,13 @@ def rollout(
     # the folder first: what cannot be written is not simulated
     with _written_into(run), add_files(run / "figures") as figures:
         result = simulated(run, config, every=every, draws=draws, seed=seed, progress=progress)
-        part = rollout_part(result)
         captions[ROLL_OUT.stem] = ROLL_OUT.caption_of(result)
         save(rollout_figure(result), figures, ROLL_OUT.stem)
-    record = {**summary, "rollout": part.as_dict()}
+    record = {**summary, "rollout": jsonable(result.summary)}
     lines = "\n".join(f"**{stem}**: {caption}\n" for stem, caption in captions.items())
     write_files({run / "summary.json": _json(record), caption_file: lines}, replace=True)
     report(run)
-    return part
+    return result.summary
 
 
 def rollout_text(rolled: RollOutPart) -> Iterator[str]:

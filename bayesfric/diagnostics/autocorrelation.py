@@ -8,27 +8,21 @@ slow noise, which then looks like a drift or a disturbance: so a Kalman filter p
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
-from scipy.linalg import toeplitz
 
-from bayesfric.inference.likelihood import autoregression as ar
-from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.estimates import autoregression as ar
+from bayesfric.estimates.autoregression import follows
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.observation import Observation
 
-# Largest order, and outputs needed for each order.
-_ORDER, _OUTPUTS = 6, 20
-# Highest frequency of the drift, Hz; largest number of cosines, and outputs needed for each.
-_DRIFT_HERTZ, _COSINES, _OUTPUTS_PER_COSINE = 1.0, 60, 8
+# Outputs needed for each order.
+_OUTPUTS = 20
 # Sizes of the drift that are tried, over the innovations' standard deviation.
 _SIZES = (0.0, 0.15, 0.45, 1.35, 4.0)
-# Steps between outputs from which they are treated as independent.
-_INDEPENDENT = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +78,13 @@ class Layout:
     def drift_cosines(self) -> list[Array]:
         """Cosines ``(M, K)`` of each recording, ``cos(pi k (t - t0) / S) / sqrt(k)``, S its span.
 
-        With independent normal coefficients of equal variance they are 1/f noise of up to 1 Hz.
+        With independent normal coefficients of equal variance they are 1/f noise of up to 1 Hz. One
+        for eight outputs at most, and sixty.
         """
         columns = []
         for t in self.stamps:
             span = float(np.ptp(t))
-            count = int(
-                min(max(2 * _DRIFT_HERTZ * span, 4), t.size / _OUTPUTS_PER_COSINE, _COSINES)
-            )
+            count = int(min(max(2.0 * span, 4), t.size / 8, 60))
             order = np.arange(1, count + 1)
             phase = np.pi * order * (t - t[0])[:, None] / span
             columns.append(np.cos(phase) / np.sqrt(order))
@@ -111,7 +104,7 @@ class Autocorrelation:
         With W the whitened cosines times their size, the drift is whitened by ``(I + W
         W')^(-1/2)``, which is ``I - W (R + R^2)^-1 W'`` with ``R = (I + W' W)^(1/2)``.
         """
-        out, innovations = [], _innovation_filter(self.partial)
+        out, innovations = [], ar.across_gaps(self.partial)
         for part, at, cosines in zip(layout.split(x), layout.at, layout.drift_cosines, strict=True):
             white = innovations(part, at)[0]
             if self.drift:
@@ -162,7 +155,7 @@ def choose_autocorrelation(left: Array, layout: Layout) -> tuple[Autocorrelation
         rest = left
         if size:  # the order describes what the drift leaves
             rest = left - _expected_drift(left, best.partial, size, layout)[0]
-        order = min(_ORDER, n // _OUTPUTS)
+        order = min(6, n // _OUTPUTS)
         partial = ar.burg(layout.split(rest), layout.runs, order)
         costs = n * np.cumsum(np.log1p(-(partial**2))) + np.arange(1, order + 1) * math.log(n)
         partial = partial[: int(np.argmin(np.append(0.0, costs)))]
@@ -182,7 +175,7 @@ def _expected_drift(
 
     It is a ridge regression on whitened cosines.
     """
-    drift, power, logs, innovations = [], 0.0, 0.0, _innovation_filter(partial)
+    drift, power, logs, innovations = [], 0.0, 0.0, ar.across_gaps(partial)
     for part, at, cosines in zip(layout.split(left), layout.at, layout.drift_cosines, strict=True):
         white, log = innovations(np.column_stack([cosines * size, part] if size else [part]), at)
         wave, y = white[:, :-1], white[:, -1]
@@ -194,69 +187,3 @@ def _expected_drift(
         power += float(y @ y - scores @ shares)
         logs += log + float(np.linalg.slogdet(inner)[1])
     return np.concatenate(drift or [left]), power, logs
-
-
-def _innovation_filter(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]:
-    """Return a function from rows ``(n, m)`` to their innovations and the log determinant."""
-    if not partial.size:
-        return lambda x, _: (x, 0.0)
-    phi = np.ascontiguousarray(ar.predictors(partial[None])[-1][0])
-    stationary = toeplitz(ar.autocovariance(partial)[:-1])
-    return lambda x, at: _innovations(np.ascontiguousarray(x), at, phi, stationary)
-
-
-@njit(cache=True, error_model="numpy")
-def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
-    """Return innovations ``(n, m)`` over their standard deviations, and their log determinant.
-
-    A Kalman filter of the last p values at whole steps ``at`` ``(n,)``; across gaps it predicts
-    only. After more than ``_INDEPENDENT`` steps it restarts.
-    """
-    n, m = x.shape
-    p = phi.size
-    out = np.empty((n, m))
-    state = np.zeros((p, m))
-    cov = stationary.copy()
-    u = np.empty(p)
-    logs = 0.0
-    for i in range(n):
-        if i:
-            gap = at[i] - at[i - 1]
-            if gap < 1 or gap > _INDEPENDENT:
-                state[:] = 0.0
-                cov[:] = stationary
-            else:
-                for _ in range(gap):
-                    for j in range(m):
-                        first = 0.0
-                        for k in range(p - 1, -1, -1):
-                            first += phi[k] * state[k, j]
-                            state[k, j] = state[k - 1, j] if k else first
-                    for k in range(p):
-                        u[k] = 0.0
-                        for j in range(p):
-                            u[k] += cov[k, j] * phi[j]
-                    variance = 1.0
-                    for k in range(p):
-                        variance += phi[k] * u[k]
-                    for k in range(p - 1, 0, -1):
-                        for j in range(p - 1, 0, -1):
-                            cov[k, j] = cov[k - 1, j - 1]
-                    for k in range(1, p):
-                        cov[0, k] = u[k - 1]
-                        cov[k, 0] = u[k - 1]
-                    cov[0, 0] = variance
-        variance = cov[0, 0]
-        sd = math.sqrt(variance)
-        logs += math.log(variance)
-        for k in range(p):
-            u[k] = cov[k, 0] / variance
-        for j in range(m):
-            error = x[i, j] - state[0, j]
-            out[i, j] = error / sd
-            for k in range(p):
-                state[k, j] += u[k] * error
-        for k in range(p):
-            for j in range(p):
-                cov[k, j] -= u[k] * u[j] * variance
-    return out, logs

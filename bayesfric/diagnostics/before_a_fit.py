@@ -15,25 +15,17 @@ from typing import Any
 import numpy as np
 
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
-from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.estimates.autoregression import CORRELATED, lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import effort_words, quantity_of
-from bayesfric.mechanism.presets import PRESETS
-from bayesfric.mechanism.quantities import QUANTITIES, Quantity
+from bayesfric.mechanism.joint import PRESETS, Joint
+from bayesfric.mechanism.quantities import QUANTITIES, effort_words, quantity_of
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-_ANGLES = ("rad", "deg", "turn")
-# Residual variance with another unit over that with this one, at most. Of measured spinning
-# pendulums the right unit has 0.03 to 0.4, and none less than the right one.
-FAR_LESS = 0.5
 # Share of the torque's variance that a model should explain if its residual is not white.
 EXPLAINED = 0.8
-# Robust standard deviations below zero that are significant.
-_NEGATIVE = 3.0
 
 
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
@@ -42,10 +34,8 @@ def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[
     A white residual is no doubt: a small signal in white noise may have the right model.
     """
     share, residual = best_share(chain, observations)
-    if (
-        share >= EXPLAINED
-        or not lag_one(residual, np.ones(residual.size - 1, np.bool_)) > CORRELATED
-    ):
+    white = not lag_one(residual, np.ones(residual.size - 1, np.bool_)) > CORRELATED
+    if share >= EXPLAINED or white:
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
     doubt = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
@@ -54,15 +44,16 @@ def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[
 
 def alternatives(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
     """Suggest units and presets that may explain more than the mechanism in use."""
-    has_gravity = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
-    with_gravity = {} if has_gravity else {name: preset.chain() for name, preset in PRESETS.items()}
-    presets = [
-        name
-        for name, other in with_gravity.items()
-        if "first_moment" in other.load.choices
-        and name != chain.made_from
-        and other.ratio == chain.ratio
-    ]
+    presets: list[str] = []
+    if "first_moment" not in chain.load.choices and chain.load.motion == "rotary":
+        others = {name: preset.chain() for name, preset in PRESETS.items()}
+        presets = [
+            name
+            for name, other in others.items()
+            if "first_moment" in other.load.choices
+            and name != chain.made_from
+            and other.ratio == chain.ratio
+        ]
     return {"units": other_units(chain, observations, share), "presets": presets}
 
 
@@ -108,33 +99,25 @@ def _feedback_laws(observations: Sequence[Observation]) -> Iterator[dict[str, An
 def _attenuated(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
     """Report requested bands that attenuate the inertia."""
     settings = {o.name: o.settings for o in observations if "band_narrower" in o.settings}
+    bands = {n: [float(x["band_doubted"]), float(x["band_narrower"])] for n, x in settings.items()}
     if settings:
-        yield {
-            "kind": "attenuated",
-            "bands": {
-                name: [float(numbers["band_doubted"]), float(numbers["band_narrower"])]
-                for name, numbers in settings.items()
-            },
-            "times": max(float(numbers["inertia_narrower"]) for numbers in settings.values()),
-        }
+        times = max(float(numbers["inertia_narrower"]) for numbers in settings.values())
+        yield {"kind": "attenuated", "bands": bands, "times": times}
 
 
-def _negative_losses(totals: Estimate) -> Iterator[dict[str, Any]]:
-    """Report losses and inertias that are significantly negative by least squares."""
-    below = {
-        v.name: v.value
-        for v in totals.values
-        if _loses(QUANTITIES.get(quantity_of(v.name)))
-        and np.isfinite(v.sd_robust)
-        and v.value < -_NEGATIVE * max(v.sd, v.sd_robust)
-    }
+def _negative_losses(totals: Estimate, sds: float = 3.0) -> Iterator[dict[str, Any]]:
+    """Report losses and inertias that are significantly negative by least squares.
+
+    A square only bends the curve of a loss.
+    """
+    below = {}
+    for v in totals.values:
+        row = QUANTITIES.get(quantity_of(v.name))
+        loses = row and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
+        if loses and np.isfinite(v.sd_robust) and v.value < -sds * max(v.sd, v.sd_robust):
+            below[v.name] = v.value
     if below:
         yield {"kind": "negative", "values": below}
-
-
-def _loses(row: Quantity | None) -> bool:
-    """Whether it must be positive; a square only bends the curve of a loss."""
-    return row is not None and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
 
 
 def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
@@ -151,26 +134,25 @@ def other_units(
     """List units of the position that explain far more of the torque, the best first.
 
     Position, speed and acceleration are scaled together. Only a torque that is nonlinear in the
-    angle, such as gravity's, identifies the scale.
+    angle, such as gravity's, identifies the scale. Far more leaves half of the residual variance:
+    of measured spinning pendulums the right unit leaves 0.03 to 0.4, and none less than that.
     """
     if chain.load.motion != "rotary":
         return []
     if explained is None:
         explained = best_share(chain, observations)[0]
-    least = 1.0 - FAR_LESS * (1.0 - explained)
-    better = [row for row in _explained_by_unit(chain, observations) if row["share"] > least]
-    return sorted(better, key=lambda row: -float(row["share"]))
-
-
-def _explained_by_unit(
-    chain: Joint, observations: Sequence[Observation]
-) -> Iterator[dict[str, Any]]:
-    """Yield the explained share with each angle unit in place of each other."""
-    for unit, other in permutations(_ANGLES, 2):
+    better = []
+    for unit, other in permutations(("rad", "deg", "turn"), 2):
         times = units.scale([unit], "angle") / units.scale([other], "angle")
-        moving = ("q", "qd", "qdd", "speed")
         scaled = [
-            replace(o, smooth=None, **{key: times * getattr(o, key) for key in moving})
+            replace(
+                o,
+                smooth=None,
+                **{key: times * getattr(o, key) for key in ("q", "qd", "qdd", "speed")},
+            )
             for o in observations
         ]
-        yield {"is": unit, "taken": other, "share": best_share(chain, scaled)[0]}
+        share = best_share(chain, scaled)[0]
+        if share > 1.0 - 0.5 * (1.0 - explained):
+            better.append({"is": unit, "taken": other, "share": share})
+    return sorted(better, key=lambda row: -float(row["share"]))

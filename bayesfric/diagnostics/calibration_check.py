@@ -17,14 +17,10 @@ from bayesfric.base.options import Options
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Replicate
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import units_of
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.target import Target
+from bayesfric.inference.target import Target, units_of
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-# Longest step, in units of the parameters, along which quantities are assumed to be linear.
-_SMALL = 1e-3
 
 Reason = Literal["likelihood", "rest", "sampling", "still", "few"]
 
@@ -86,37 +82,23 @@ def calibration_check(
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
     replicates = () if reason else explained.replicates
-    sds = np.array([prior.sd() for prior in target.priors[: len(target.free)]])
-    sds = np.where(np.isfinite(sds), sds, np.inf)
     columns = [target.likelihood.chain.names.index(name) for name in target.free]
     truth = np.tile(posterior.median, (len(replicates), 1))
     for row, replicate in zip(truth, replicates, strict=True):  # the noise stays the posterior's
         row[: len(columns)] = replicate.values[columns]
-    return CalibrationCheck(
-        truth,
-        tuple(
-            _fit(target, *pair, sds, columns, explained.share)
-            for pair in zip(truth, replicates, strict=True)
-        ),
-        time.perf_counter() - begun,
-        time.process_time() - worked,
-        reason,
-        explained.share,
-    )
+    pairs = zip(truth, replicates, strict=True)
+    fits = tuple(_fit(target, *pair, columns, explained.share) for pair in pairs)
+    seconds = time.perf_counter() - begun, time.process_time() - worked
+    return CalibrationCheck(truth, fits, *seconds, reason, explained.share)
 
 
 def _fit(
-    target: Target,
-    truth: Array,
-    replicate: Replicate,
-    prior_sds: Array,
-    columns: Sequence[int],
-    share: float,
+    target: Target, truth: Array, replicate: Replicate, columns: Sequence[int], share: float
 ) -> ReplicateFit:
     """Take one Gauss-Newton step from the true parameters ``(d,)`` of a replicate.
 
-    The prior, of standard deviations ``prior_sds`` ``(free,)``, is centred on the truth, as its
-    pull is no bias; for a subsample its information is scaled by ``share``.
+    The prior is centred on the truth, as its pull is no bias; for a subsample its information is
+    scaled by ``share``.
     """
     assert isinstance(target.likelihood, TorqueLikelihood)
     k = len(target.free)
@@ -131,9 +113,12 @@ def _fit(
     ]
     white = np.concatenate(pieces)
     jacobian, error = white[:, :-1], white[:, -1]
-    information = jacobian.T @ jacobian + share * np.diag((units.units / prior_sds) ** 2)
+    sds = np.array([prior.sd() for prior in target.priors[:k]])
+    precision = np.where(np.isfinite(sds), (units.units / sds) ** 2, 0.0)
+    information = jacobian.T @ jacobian + share * np.diag(precision)
     step = np.asarray(np.linalg.lstsq(information, jacobian.T @ error)[0], dtype=np.float64)
-    step_share = _SMALL / max(float(np.abs(step).max(initial=0.0)), _SMALL)
+    # quantities are assumed to be linear along a thousandth of the parameters' units
+    step_share = 1e-3 / max(float(np.abs(step).max(initial=0.0)), 1e-3)
     near_truth = np.concatenate([units.moved(truth[:k], step_share * step), truth[k:]])
     residual = error - jacobian @ step
     return ReplicateFit(near_truth, step_share, float(np.mean(residual**2)))

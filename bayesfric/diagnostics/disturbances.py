@@ -12,25 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.diagnostics.along import Along
 from bayesfric.diagnostics.autocorrelation import Layout
+from bayesfric.diagnostics.motion import MotionSignals
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.observation import target_torque
-from bayesfric.recordings.timing import FAR_DELAYS, command_rate
+from bayesfric.recordings.observation import FAR_DELAYS, command_rate, target_torque
 
 SINUSOID, TRANSIENT, DELAY, TARGET_DELAY = "tone", "push", "delay", "target_delay"
 # Delay of the position, or of a target that the torque is computed from.
 DELAYS = DELAY, TARGET_DELAY
-# Lowest frequency in periods of the recording, highest as a share of the sampling rate.
-_PERIODS, _NYQUIST = 2.0, 0.45
-# Gauss-Newton steps to a frequency, and the longest in periods of the recording.
-_TUNINGS, _FURTHEST = 4, 0.2
-# Half width of a transient in its widths, and the least number of outputs in it.
-_HALF, _FEW = 1.5, 3
-_ROUNDING = 1e-9
-# Delay of a target, s, from which one linear column no longer suffices.
-_NEAR_DELAY = 0.01
 
 
 @dataclass(frozen=True)
@@ -50,13 +40,13 @@ def sinusoidal_disturbance(y: Array, layout: Layout) -> Scan:
 
     The power P of a frequency is chi squared with two degrees of freedom in white noise; the gain
     is ``P / (1 - P/n)``, which orders peaks as Fisher's test does (Proceedings of the Royal Society
-    A 125 (1929) 54-59).
+    A 125 (1929) 54-59). Frequencies are from two periods of the recording to 0.45 of the rate.
     """
     step, span, size, places = layout.grid
     rows = np.bincount(places, y, len(layout.at) * size).reshape(-1, size)
     power = (np.abs(np.fft.rfft(rows)) ** 2).sum(axis=0)
     f = np.fft.rfftfreq(size, step)
-    inside = (f >= _PERIODS / span) & (f <= _NYQUIST / step)
+    inside = (f >= 2.0 / span) & (f <= 0.45 / step)
     power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))
     power = power / np.maximum(1.0 - power / y.size, 1e-6)
     i = int(np.argmax(power))
@@ -68,16 +58,19 @@ def sinusoidal_disturbance(y: Array, layout: Layout) -> Scan:
 
 
 def transient_disturbance(y: Array, layout: Layout, width: float) -> Scan:
-    """Find the window in which the mean of a whitened residual ``(n,)`` deviates most."""
+    """Find the window in which the mean of a whitened residual ``(n,)`` deviates most.
+
+    It is three widths long, and has at least three outputs.
+    """
     best = Scan(TRANSIENT, 0.0, 0.0)
     variance = float(np.mean(y**2))
     for k, (t, x) in enumerate(zip(layout.stamps, layout.split(y), strict=True)):
         centres = np.arange(t[0] + width, t[-1], width)
-        first = np.searchsorted(t, centres - _HALF * width)
-        last = np.searchsorted(t, centres + _HALF * width)
+        first = np.searchsorted(t, centres - 1.5 * width)
+        last = np.searchsorted(t, centres + 1.5 * width)
         sums = np.concatenate([[0.0], np.cumsum(x)])
         counts = last - first
-        gains = np.where(counts >= _FEW, (sums[last] - sums[first]) ** 2, 0.0)
+        gains = np.where(counts >= 3, (sums[last] - sums[first]) ** 2, 0.0)
         gains /= np.maximum(counts, 1) * variance
         if gains.size and gains.max() > best.peak:
             i = int(np.argmax(gains))
@@ -104,51 +97,52 @@ def transient_columns(layout: Layout, scan: Scan, width: float) -> Array:
 def tune_frequency(
     y: Array, layout: Layout, hertz: float, project: Callable[[Array], Array]
 ) -> float:
-    """Refine a sinusoid's frequency by Gauss-Newton on a residual ``(n,)``.
+    """Refine a sinusoid's frequency by four Gauss-Newton steps on a residual ``(n,)``.
 
     Columns ``(t - t0) cos`` and ``(t - t0) sin`` are fitted as b2 and b3 together with ``b0 sin +
     b1 cos``; the step of the angular frequency is ``(b0 b2 - b1 b3) / (b0^2 + b1^2)``, summed over
     recordings. ``project`` whitens columns and projects the model's out.
     """
     t = np.concatenate(layout.stamps)
-    span = max(float(np.ptp(stamps)) for stamps in layout.stamps)
+    longest = 0.2 / max(float(np.ptp(stamps)) for stamps in layout.stamps)
     middle = float(t.mean())
-    for _ in range(_TUNINGS):
+    for _ in range(4):
         numerator = denominator = 0.0
         angle = 2.0 * np.pi * hertz * t
         wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         derivatives = (t - middle)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         for member in layout.members:
             x = project(np.column_stack([wave, derivatives]) * member[:, None])
-            b = np.linalg.lstsq(x, y, rcond=_ROUNDING)[0]
+            b = np.linalg.lstsq(x, y, rcond=1e-9)[0]
             numerator += float(b[0] * b[2] - b[1] * b[3])
             denominator += float(b[0] ** 2 + b[1] ** 2)
         step = numerator / max(denominator, 1e-300) / (2.0 * np.pi)
-        hertz += float(np.clip(step, -_FURTHEST / span, _FURTHEST / span))
+        hertz += float(np.clip(step, -longest, longest))
     return hertz
 
 
-def delay_columns(a: Along) -> Mapping[float, tuple[Array, Array]]:
+def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     """Return the change of the torque over each far delay, and its rate then, ``(N,)`` each.
 
     A position that is late by d belongs to the torque ``y(t - d)``, see
-    :mod:`bayesfric.recordings.timing`.
+    :mod:`bayesfric.recordings.observation`.
     """
-    if a.chain.delay:
+    if m.chain.delay:
         return {}
-    if a.chain.by_target:
-        command, r = target_torque(a.recording), a.recording
+    if m.chain.by_target:
+        command, r = target_torque(m.recording), m.recording
+        # from 0.01 s one linear column no longer suffices
         return {
-            d: (a.smooth(command - target_torque(r, d)), command_rate(a.o, r, d))
-            for d in (_NEAR_DELAY, *FAR_DELAYS)
+            d: (m.smooth(command - target_torque(r, d)), command_rate(m.o, r, d))
+            for d in (0.01, *FAR_DELAYS)
         }
-    torque = a.smooth(a.o.torque)
+    torque = m.smooth(m.o.torque)
     delays = [d for late in FAR_DELAYS for d in (late, -late)]
     delayed, is_known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
     for delay, row, valid in zip(delays, delayed, is_known, strict=True):
-        samples = delay / a.recording.period
-        for begin, end in a.recording.segments:
+        samples = delay / m.recording.period
+        for begin, end in m.recording.segments:
             row[begin:end] = later(torque[begin:end], samples)
             valid[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
-    pairs = zip((torque - delayed) * is_known, a.rate(delayed) * is_known, strict=True)
+    pairs = zip((torque - delayed) * is_known, m.rate(delayed) * is_known, strict=True)
     return dict(zip(delays, pairs, strict=True))

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from bayesfric.diagnostics.along import TURNS
 from bayesfric.diagnostics.candidates import BY_NAME, Kind
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.motion import TURNS
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
-from bayesfric.diagnostics.regression import Regression, Replicate, Step
+from bayesfric.diagnostics.regression import Effect, Replicate, regression_of
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
 from bayesfric.estimates.input_error import few_threads
-from bayesfric.inference.missing import Missing
+from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES
 from bayesfric.recordings.measurement import Measurement
@@ -25,6 +24,48 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Reason = Literal["few", "still"]
+Severity = Literal["note", "doubt"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect in the recordings that replicates of a right model do not show."""
+
+    kind: str  # key of ``words.toml``
+    severity: Severity  # doubt if it moves a reported number by more than half its interval
+    statistic: float  # standard normal score among the replicates
+    p: float  # share of replicates with as large a statistic of any candidate
+    shape: str = ""  # such as a speed or a frequency; empty if the kind has one shape
+    recording: str = ""  # empty for all
+    span: tuple[float, float] | None = None  # s; None for the whole recording
+    share: float = 0.0  # rms of its torque over the rms of all torque
+    rivals: tuple[str, ...] = ()  # kinds that are collinear with it on this motion
+    # shift of each parameter in its standard deviations, the largest first
+    moves: Mapping[str, float] = field(default_factory=dict)
+    setting: str = ""  # line of a configuration that adds the term; empty if there is none
+    physical: bool = True  # whether the estimated sign is possible for that term
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that it moves, the largest shift first."""
+        return tuple(self.moves)
+
+    @property
+    def hint(self) -> str:
+        """The setting, if the sign allows it."""
+        return self.setting if self.physical else ""
+
+    @property
+    def applicable(self) -> bool:
+        """Whether the setting may be applied automatically; a delay only without rivals."""
+        return bool(self.hint) and not (self.kind in ("delay", "target_delay") and self.rivals)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of ``summary.json``."""
+        fields = {name: value for name, value in vars(self).items() if name != "setting"}
+        span = None if self.span is None else list(self.span)
+        lists = {"parameters": list(self.parameters), "rivals": list(self.rivals), "span": span}
+        return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
 @dataclass(frozen=True)
@@ -49,15 +90,10 @@ class Explanation:
     missing: Missing | None = field(default=None, repr=False)
 
     @property
-    def answered(self) -> bool:
-        """Whether the regression was evaluated."""
-        return self.reason is None
-
-    @property
     def applicable(self) -> tuple[Finding, ...]:
         """Findings whose setting may be applied; none if the recording is faulty."""
         faulty = bool(self.findings) and of_recording(self.findings[0].kind)
-        return () if faulty else tuple(finding for finding in self.findings if finding.applicable)
+        return tuple(finding for finding in self.findings if finding.applicable and not faulty)
 
     def with_severity(self, *, widened: bool) -> tuple[Finding, ...]:
         """Return findings; marginalised ones are notes if intervals are ``widened`` for them.
@@ -81,14 +117,14 @@ class Explanation:
 
     def as_json(self) -> dict[str, Any]:
         """Return everything as JSON data."""
-        record = {
+        names = "largest", "limit", "cpu_seconds", "reason", "share"
+        return {
+            "findings": [finding.as_dict() for finding in self.findings],
             "kinds": list(self.kinds),
             "untold": list(self.indistinguishable),
             "twins": len(self.replicates),
+            **{name: getattr(self, name) for name in names},
         }
-        record |= {"largest": self.largest, "limit": self.limit}
-        record |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason, "share": self.share}
-        return {"findings": [one.as_dict() for one in self.findings], **record}
 
 
 def too_few_outputs(chain: Joint, observations: Sequence[Observation]) -> Reason | None:
@@ -117,23 +153,23 @@ def explain(
                 subsamples = [subsample(chain, values, r, o, processing, n) for r, o, n in pairs]
                 recordings, observations = zip(*subsamples, strict=True)
             share = sum(r.time.size for r in recordings) / samples
-            regression = Regression(
+            regression, simulated = regression_of(
                 chain, recordings, observations, processing, values, known, seed
             )
-            # the full recordings have smaller standard deviations than subsamples
-            steps = [_sharpened(step, share**-0.5) for step in regression.steps()]
+            effects = regression.effects()
     except ReplicateError:
         return Explanation(reason="still")
     return Explanation(
-        tuple(finding(chain, step) for step in steps if step.significant),
+        # the full recordings have smaller standard deviations than subsamples
+        tuple(finding_of(chain, e, share**-0.5) for e in effects if e.significant),
         regression.kinds,
         regression.indistinguishable,
-        regression.simulated,
-        steps[0].largest,
-        steps[0].limit,
+        simulated,
+        effects[0].largest,
+        effects[0].limit,
         time.process_time() - begun,
         share=share,
-        missing=regression.missing(),
+        missing=regression.missing(observations),
     )
 
 
@@ -142,39 +178,35 @@ def of_recording(name: str) -> bool:
     return name in BY_NAME and BY_NAME[name].of_recording
 
 
-def _sharpened(step: Step, factor: float) -> Step:
-    """Scale the shifts of a step."""
-    return replace(step, moves={name: factor * x for name, x in step.moves.items()})
-
-
-def finding(chain: Joint, step: Step) -> Finding:
-    """Convert one step of forward selection to a finding.
+def finding_of(chain: Joint, effect: Effect, sharper: float = 1.0) -> Finding:
+    """Convert an effect to a finding, its shifts in standard deviations ``sharper`` times as many.
 
     An effect with an impossible sign is named after a rival that may have it, if there is one.
     """
-    kind, rivals, shape = BY_NAME.get(step.kind), step.collinear, step.shape
-    negative = kind is not None and kind.positive and bool((step.coefficients < 0.0).any())
+    kind, rivals, shape = BY_NAME.get(effect.kind), effect.collinear, effect.shape
+    negative = kind is not None and kind.positive and bool((effect.coefficients < 0.0).any())
     if kind is not None and negative and kind.other:
         kind, negative = replace(kind, choice=kind.other), False
-    others = [BY_NAME[name] for name in rivals if name in BY_NAME and not BY_NAME[name].positive]
-    others = [other for other in others if not other.of_recording]
+    others = [BY_NAME[name] for name in rivals if name in BY_NAME]
+    others = [other for other in others if not (other.positive or other.of_recording)]
     if negative and others:
         kind, shape, negative = others[0], "", False
-        rivals = (step.kind, *(name for name in rivals if name != kind.name))
-    far = {name: x for name, x in step.moves.items() if abs(x) > MOVES}
+        rivals = (effect.kind, *(name for name in rivals if name != kind.name))
+    moves = {name: sharper * x for name, x in effect.moves.items()}
+    moves = {name: x for name, x in moves.items() if abs(x) > MOVES}
     return Finding(
-        kind=step.kind if kind is None else kind.name,
-        severity="doubt" if far or (kind and kind.of_recording) else "note",
-        statistic=step.z,
-        p=step.p,
+        kind=effect.kind if kind is None else kind.name,
+        severity="doubt" if moves or (kind and kind.of_recording) else "note",
+        statistic=effect.z,
+        p=effect.p,
         shape=shape,
-        share=step.share,
+        share=effect.share,
         rivals=rivals,
-        moves=dict(sorted(far.items(), key=lambda one: -abs(one[1]))),
+        moves=dict(sorted(moves.items(), key=lambda item: -abs(item[1]))),
         setting="" if kind is None else setting_of(chain, kind, shape),
         physical=not negative,
-        recording=step.recording,
-        span=step.span,
+        recording=effect.recording,
+        span=effect.span,
     )
 
 

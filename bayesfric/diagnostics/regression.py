@@ -16,15 +16,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 
-from bayesfric.diagnostics.along import Along, Scales, scales_of
+from bayesfric.diagnostics import policy
 from bayesfric.diagnostics.autocorrelation import (
     WHITE,
     Autocorrelation,
@@ -47,15 +45,7 @@ from bayesfric.diagnostics.disturbances import (
     transient_columns,
     tune_frequency,
 )
-from bayesfric.diagnostics.policy import (
-    BETTER,
-    COLLINEAR,
-    FALSE_ALARMS,
-    LEAST_OUTPUTS,
-    MAX_EFFECTS,
-    REPLICATES,
-    TESTABLE,
-)
+from bayesfric.diagnostics.motion import MotionSignals, Scales, scales_of
 from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
     HALF,
@@ -72,7 +62,7 @@ from bayesfric.diagnostics.statistics import (
     unit_scores,
 )
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
-from bayesfric.inference.missing import Missing
+from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -82,26 +72,15 @@ from bayesfric.recordings.source import Processing
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
-# Share of a quantity's direction that must be identified.
-_DETERMINED = 0.999
-# Largest relative spread of a parameter between replicates.
-_WIDEST = 0.1
-# Share of the replicates that must succeed.
-_ENOUGH = 0.5
-# Largest number of effects included while noise is chosen, and the penalty of each: twice the log
-# of the number of candidates.
-_PICKS, _PICK_COST = 8, 10.0
-# Frequency, Hz, below which a sinusoid may be the noise's drift.
-_DRIFT_HERTZ = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Selection:
-    """Best candidate of one round of forward selection."""
+class Effect:
+    """One candidate of forward selection."""
 
     kind: str
     shape: str
-    columns: list[int]  # indices
+    columns: Sequence[int]  # indices
     significant: bool
     # statistic as a standard normal, and p-value (1 + k) / (n + 1): k of n replicates have a
     # candidate with as large a statistic
@@ -110,9 +89,15 @@ class Selection:
     # largest z of all candidates, and its critical value
     largest: float
     limit: float
-    # BIC-penalised gain of every candidate, searches last
-    worth: Array
     scan: Scan | None = None  # place of a disturbance or far delay
+    share: float = 0.0  # rms of its torque over that of all torque
+    # recording and seconds of a transient; the recording also of an effect in one recording alone
+    recording: str = ""
+    span: tuple[float, float] | None = None
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    # shift of each identified parameter or derived quantity in its standard deviations
+    moves: Mapping[str, float] = field(default_factory=dict)
+    collinear: tuple[str, ...] = ()  # kinds that explain as much or are collinear
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,160 +112,62 @@ class Replicate:
     layout: Layout
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Step(Selection):
-    """One candidate included by forward selection."""
-
-    share: float  # rms of its torque over that of all torque
-    # recording and seconds of a transient; the recording also of an effect in one recording alone
-    recording: str
-    span: tuple[float, float] | None
-    coefficients: Array  # of its columns
-    # shift of each identified parameter or derived quantity in its standard deviations
-    moves: dict[str, float]
-    collinear: tuple[str, ...]  # kinds that explain as much or are collinear
-
-
 @dataclass(eq=False)
 class Regression:
-    """Regression of the residual torque at ``values`` ``(n_parameters,)`` on candidate effects."""
+    """Forward selection of effects in a residual, tested against replicates of a right model."""
 
-    chain: Joint
-    recordings: Sequence[Measurement]
-    observations: Sequence[Observation]
-    processing: Processing
-    values: Array
-    known: Collection[str] = ()
-    seed: int = 0
-    number: int = REPLICATES
-    scales: Scales = field(init=False)
-    data: Columns = field(init=False)
-    replicates: list[Columns] = field(init=False)
-    simulated: tuple[Replicate, ...] = field(init=False)
-    _located_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
-    _significant_kinds: set[str] = field(init=False, default_factory=set)
+    data: Columns  # of the recordings
+    replicates: list[Columns]  # noise is added to their residuals
+    scales: Scales
+    sizes: Array  # (d,) scale of each parameter
+    gradients: Mapping[str, Array]  # (d,) derivatives of each reported quantity by the parameters
+    noise_seed: np.random.SeedSequence
+    smoothed: str = ""  # shape of the low-pass before logging
+    noise: Autocorrelation = field(init=False)
+    included: list[Effect] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        draws, others, noise = np.random.SeedSequence(self.seed).spawn(3)
-        self.scales = scales_of(self.chain, self.values, self.observations)
-        self.data = self._columns(self.values, self.observations)
-        self._groups = testable(self.data)
-        pairs = zip(self.observations, self.recordings, strict=True)
-        along = [Along(self.chain, self.values, o, r, self.scales) for o, r in pairs]
-        self._smoothed = f"{max(a.smoothed_at() for a in along):.3g} Hz"
-        vectors = self._draw_parameters(np.random.default_rng(draws))
-        simulated = [
-            (v, self._columns(v, observations))
-            for v, observations in self._simulate(vectors, others)
-        ]
-        self.simulated = tuple(Replicate(v, t.base, t.residual, t.layout) for v, t in simulated)
-        self.replicates = [replicate for _, replicate in simulated]
-        if len(self.replicates) < _ENOUGH * self.number:
-            raise ReplicateError("with parameters like these it hardly moves")
+        self.groups = testable(self.data)
         self._clean = [replicate.residual for replicate in self.replicates]
-        self._choose_noise(noise)
-
-    # What is compared
-
-    @property
-    def _sizes(self) -> Array:
-        """Scale ``(d,)`` of each parameter."""
-        return np.maximum(np.abs(self.values), 1e-12)
-
-    def _model_columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
-        """Compute the model's columns at parameters ``(n_parameters,)``."""
-        chain = self.chain
-        free = np.array([name not in self.known for name in chain.names])
-        steps = free * _STEP * np.maximum(np.abs(values), 1.0)
-        base = torque_jacobian(chain, observations, values, steps)
-        left = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
-        nothing = np.empty((len(base), 0))
-        return Columns(base, nothing, np.concatenate(left), Layout.of(observations), ())
-
-    def _columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
-        """Compute the model's and the candidates' columns."""
-        blocks = []
-        for o, r in zip(observations, self.recordings, strict=True):
-            columns = dict(columns_along(Along(self.chain, values, o, r, self.scales)))
-            blocks.append(filtered_columns(o, list(columns.values())))
-        own = self._model_columns(values, observations)
-        return replace(own, others=np.concatenate(blocks), keys=tuple(columns))
-
-    def _draw_parameters(self, rng: np.random.Generator) -> Array:
-        """Draw parameters ``(number, n_parameters)`` from the estimate's normal.
-
-        Unidentified directions are left out.
-        """
-        size = self._sizes
-        rows = self.data.base * size
-        variance = mean_square(
-            project_out(basis_of(self.data.base), self.data.residual), rows.shape[1]
-        )
-        power, vectors = np.linalg.eigh(rows.T @ rows)
-        determined = power > OPEN * power.max()
-        sds = np.minimum(np.sqrt(variance / power[determined]), _WIDEST)
-        drawn = rng.standard_normal((self.number, int(determined.sum()))) * sds
-        lower = np.array([p.lower for p in self.chain.parameters])
-        return np.asarray(
-            np.maximum(self.values + (drawn @ vectors[:, determined].T) * size, lower)
-        )
-
-    def _simulate(
-        self, vectors: Array, stream: np.random.SeedSequence
-    ) -> Iterator[tuple[Array, list[Observation]]]:
-        """Simulate a replicate for each vector; skip those with too few outputs after filtering."""
-        parts = []
-        for r, o, recording_seeds in zip(
-            self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
-        ):
-            seeds = recording_seeds.spawn(len(vectors))
-            parts.append(replicates(self.chain, vectors, r, o, self.processing, seeds))
-        for values, simulated in zip(vectors, zip(*parts, strict=True), strict=True):
-            usable = [o for o in simulated if o is not None]
-            least = len(self.chain.names) + LEAST_OUTPUTS
-            if len(usable) == len(simulated) and sum(o.measured.size for o in usable) >= least:
-                yield values, usable
+        self._choose_noise()
 
     # Noise
 
-    def _choose_noise(self, stream: np.random.SeedSequence) -> None:
-        """Choose the noise on what remains after including effects; add it to the replicates."""
-        self._add_noise(WHITE, [], stream)
+    def _choose_noise(self, most: int = 8, cost: float = 10.0) -> None:
+        """Choose the noise on what remains after including effects; add it to the replicates.
+
+        Each effect costs twice the log of the number of candidates.
+        """
+        self._add_noise(WHITE, [])
         inclusions: list[list[int]] = [[]]
-        for choice, extra in self._forward_selection(_PICKS, for_noise=True):
-            if not choice.significant:
-                break
-            inclusions.append([*extra, *choice.columns])
-        best = math.inf
+        for effect, extra in self._forward_selection(most, for_noise=True):
+            if effect.significant:
+                inclusions.append([*extra, *effect.columns])
+        best, layout = math.inf, self.data.layout
         for picks, extra in enumerate(inclusions):
-            autocorrelation, bic = choose_autocorrelation(
-                self.data.residual_with(extra), self.data.layout
-            )
-            bic += len(extra) * math.log(self.data.residual.size) + _PICK_COST * picks
+            noise, bic = choose_autocorrelation(self.data.residual_with(extra), layout)
+            bic += len(extra) * math.log(self.data.residual.size) + cost * picks
             if bic < best:
-                best, self.noise, chosen = bic, autocorrelation, extra
-        self._add_noise(self.noise, chosen, stream)
+                best, self.noise, chosen = bic, noise, extra
+        self._add_noise(self.noise, chosen)
         self.replicates = [
             replace(t, autocorrelation=choose_autocorrelation(t.residual_with(chosen), t.layout)[0])
             for t in self.replicates
         ]
 
-    def _add_noise(
-        self, autocorrelation: Autocorrelation, extra: Sequence[int], stream: np.random.SeedSequence
-    ) -> None:
+    def _add_noise(self, noise: Autocorrelation, extra: Sequence[int]) -> None:
         """Add noise so that the replicates' residual is as large as the recording's."""
         clean = [replace(t, residual=x) for t, x in zip(self.replicates, self._clean, strict=True)]
-        parameters = self.values.size + len(extra)
+        parameters = self.sizes.size + len(extra)
         sensor_power, total = (
             float(np.mean([mean_square(d.residual_with(extra), parameters) for d in group]))
             for group in (clean, [self.data])
         )
         noise_share = max(1.0 - sensor_power / max(total, 1e-300), 0.1)
-        sd = math.sqrt(total * noise_share / autocorrelation.variance(self.data.layout))
-        rng = np.random.default_rng(stream)
+        sd = math.sqrt(total * noise_share / noise.variance(self.data.layout))
+        rng = np.random.default_rng(self.noise_seed)
         self.replicates = [
-            replace(t, residual=t.residual + sd * autocorrelation.drawn(t.layout, rng))
-            for t in clean
+            replace(t, residual=t.residual + sd * noise.drawn(t.layout, rng)) for t in clean
         ]
 
     # Ranking
@@ -288,257 +175,160 @@ class Regression:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of candidates that are tested."""
-        scanned = (key.kind for key in self.data.keys if key.kind == DELAYS[1])
-        return tuple(
-            dict.fromkeys([*(key.kind for key, _ in self._groups), *scanned, SINUSOID, TRANSIENT])
-        )
+        tested = [key.kind for key, _ in self.groups]
+        tested += [key.kind for key in self.data.keys if key.kind == DELAYS[1]]
+        return tuple(dict.fromkeys([*tested, SINUSOID, TRANSIENT]))
 
     @property
     def indistinguishable(self) -> tuple[str, ...]:
         """Kinds that are collinear with the model's own columns on this motion."""
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
-    def steps(self, most: int = MAX_EFFECTS) -> list[Step]:
-        """Forward-select missing effects; if none is significant, return the best candidate."""
-        steps = []
-        for choice, extra in self._forward_selection(most):
-            steps.append(self._step(choice, extra))
-            if not choice.significant:
-                break
-            self._significant_kinds.add(choice.kind)
-            if choice.scan is not None:
-                self._located_scans.append((choice.kind, tuple(choice.columns)))
-        return steps
-
-    def missing(self) -> Missing:
-        """Return all candidates for marginalisation, after :meth:`steps`.
-
-        A disturbance or far delay is included only if it was selected, and so is a kind with a
-        least share. Columns have the size of all torque, those of friction the size of the model's
-        losses. The replicates' mean score is subtracted, half of it counts as spread. The noise is
-        that of the whole selection: included effects differ where several explain as much.
-        """
-        d = replace(self.data, autocorrelation=self.noise).whitened
-        base = basis_of(d.base)
-        # a short effect is no larger for that; additional losses are as large as the model's
-        size = np.abs(self.data.others).max(axis=0)
-        losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
-        largest = np.where(losses, self.scales.lost, self.scales.torque)
-        size = np.divide(largest, size, out=np.zeros_like(size), where=size > 0.0)
-        columns = self.data.others * size
-        remainder, residual = (
-            project_out(base, project_out(base, d.others * size)),
-            project_out(base, d.residual),
-        )
-        unit, total = (np.linalg.norm(x, axis=0) for x in (remainder, d.others * size))
-        identified = unit > TESTABLE * total
-        groups = [
-            (k.kind, tuple(members)) for k, members in self._groups if not BY_NAME[k.kind].least
-        ]
-        all_groups = groups + self._located_scans
-        # shapes between those of a grid
-        all_groups += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.nuisance]
-        kinds: dict[str, list[tuple[int, ...]]] = {}
-        for kind, members in all_groups:
-            if identified[list(members)].all():
-                kinds.setdefault(kind, []).append(members)
-        free = residual.size - base.shape[1]
-        power = float(residual @ residual)
-        scores, sds = zip(
-            *(unit_scores(replicate.whitened, size) for replicate in self.replicates), strict=True
-        )
-        mean, white = np.mean(scores, axis=0), float(np.mean(sds))
-        sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
-        in_law = {kind.name for kind in KINDS if kind.of_speed}
-        biases = self._significant_kinds - in_law
-        return Missing(
-            biases_friction=np.array([key.kind in biases for key in self.data.keys], dtype=bool),
-            observations=tuple(self.observations),
-            columns=columns,
-            kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
-            gram=remainder.T @ remainder,
-            scores=remainder.T @ residual - mean * unit,
-            column_errors=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
-            power=power,
-            spread=np.hypot(np.maximum(sd, 1.0), HALF * bias),
-            free=free,
-        )
+    def effects(self, most: int = policy.MAX_EFFECTS) -> list[Effect]:
+        """Forward-select missing effects; the last one may be the best that is not significant."""
+        effects = [effect for effect, _ in self._forward_selection(most)]
+        self.included = [effect for effect in effects if effect.significant]
+        return effects
 
     def _forward_selection(
         self, most: int, *, for_noise: bool = False
-    ) -> Iterator[tuple[Selection, list[int]]]:
+    ) -> Iterator[tuple[Effect, list[int]]]:
         """Include one candidate after the other; yield each with the columns included before it.
 
-        With ``for_noise`` the noise is white, and only the selected columns are included.
+        With ``for_noise`` the noise is white, and only the selected columns are included. It ends
+        with a candidate that is not significant.
         """
         extra: list[int] = []
         for _ in range(most):
-            choice = self._select(extra, for_noise)
-            yield choice, extra
-            extra = [*extra, *choice.columns]
+            effect, worth = self._select(extra, for_noise)
+            yield effect if for_noise else self._fitted(effect, extra, worth), extra
+            if not effect.significant:
+                return
+            extra = [*extra, *effect.columns]
             single = "gravity", "repeating", SINUSOID, TRANSIENT
-            if not for_noise and choice.kind not in single:
+            if not for_noise and effect.kind not in single:
                 keys = enumerate(self.data.keys)
-                same_kind = [i for i, k in keys if k.kind == choice.kind and not k.delay]
+                same_kind = [i for i, k in keys if k.kind == effect.kind and not k.delay]
                 extra += [i for i in same_kind if i not in extra]
 
-    def _select(self, extra: list[int], for_noise: bool) -> Selection:
-        """Select the significant candidate with the largest penalised gain.
+    def _select(self, extra: Sequence[int], for_noise: bool) -> tuple[Effect, Array]:
+        """Select the significant candidate with the largest penalised gain, searches last.
 
         A transient is selected only if nothing else is significant, a fault of the recording only
         as the first. If the log is low-passed below its band, smoothing is selected: other
-        candidates would explain what it removed.
+        candidates would explain what it removed. The gains of all are returned, too.
         """
         if not for_noise:
-            self.data = replace(
-                self.data,
-                autocorrelation=choose_autocorrelation(
-                    self.data.residual_with(extra), self.data.layout
-                )[0],
-            )
-        arguments = self._groups, extra, self.scales.transient_width
+            residual = self.data.residual_with(extra)
+            noise, _ = choose_autocorrelation(residual, self.data.layout)
+            self.data = replace(self.data, autocorrelation=noise)
+        arguments = self.groups, extra, self.scales.transient_width
         recorded = score_candidates(self.data, *arguments)
-        z, null = standard_normal_scores(
-            recorded, [score_candidates(replicate, *arguments) for replicate in self.replicates]
-        )
+        simulated = [score_candidates(replicate, *arguments) for replicate in self.replicates]
+        z, null = standard_normal_scores(recorded, simulated)
         largest = null.max(axis=1)
-        limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
+        limit = float(np.quantile(largest, 1.0 - policy.FALSE_ALARMS, method="higher"))
         # few replicates give it to 0.3: at least that of as many independent normals (Bonferroni)
-        limit = max(limit, -float(ndtri(0.5 * FALSE_ALARMS / z.size)))
-        kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in recorded.scans)]
+        limit = max(limit, -float(ndtri(0.5 * policy.FALSE_ALARMS / z.size)))
         # a shape, or the place of a search, is one more parameter
-        shapes = Counter(key.kind for key, _ in self._groups)
-        extra_parameters = [len(o) - 1 + (shapes[k.kind] > 1) for k, o in self._groups] + [2, 1, 1]
+        shapes = Counter(key.kind for key, _ in self.groups)
+        parameters = [len(columns) - 1 + (shapes[key.kind] > 1) for key, columns in self.groups]
         gains = np.append(recorded.gains, [scan.peak for scan in recorded.scans])
-        worth = gains - np.array(extra_parameters) * math.log(self.data.residual.size)
+        worth = gains - np.array([*parameters, 2, 1, 1]) * math.log(self.data.residual.size)
         allowed = z > limit
-        if for_noise:  # the noise's drift is not known yet
-            slow = recorded.scans[0].place < _DRIFT_HERTZ
-            allowed &= [
-                k not in (TRANSIENT, "drift") and not (k == SINUSOID and slow) for k in kinds
-            ]
-        transient = np.array([k == TRANSIENT for k in kinds])
+        kinds = [*(key.kind for key, _ in self.groups), *(scan.kind for scan in recorded.scans)]
+        if for_noise:  # the noise's drift, of up to 1 Hz, is not known yet
+            drift = {TRANSIENT, "drift", *([SINUSOID] if recorded.scans[0].place < 1.0 else [])}
+            allowed &= [kind not in drift for kind in kinds]
+        transient = np.array([kind == TRANSIENT for kind in kinds])
         if (allowed & ~transient).any():
             allowed &= ~transient
-        shapes_present = {(key.kind, key.shape) for key, _ in self._groups}
-        smoothed = not extra and (SMOOTHED, self._smoothed) in shapes_present
-        for i, (key, members) in enumerate(self._groups):
+        log_filter = SMOOTHED, self.smoothed
+        smoothed = not extra and log_filter in [(key.kind, key.shape) for key, _ in self.groups]
+        for i, (key, columns) in enumerate(self.groups):
             kind = BY_NAME[key.kind]
-            if kind.least:
-                allowed[i] &= bool(allowed[i]) and self._share(members, extra) > kind.least
-            if smoothed or key.kind == SMOOTHED:
-                allowed[i] = (key.kind, key.shape) == (SMOOTHED, self._smoothed)
-            # the remainder of an included term may look like a fault
-            allowed[i] &= not (extra and kind.of_recording)
+            if smoothed:
+                allowed[i] = (key.kind, key.shape) == log_filter
+            elif key.kind == SMOOTHED or (extra and kind.of_recording):
+                # the remainder of an included term may look like a fault
+                allowed[i] = False
+            elif allowed[i] and kind.least:
+                coefficients = self._fit([*extra, *columns])[0][-len(columns) :]
+                allowed[i] = self._share(columns, coefficients) > kind.least
         significant = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if significant else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
-        statistics = significant, float(z[best]), p, float(z.max()), limit, worth
-        if best < len(self._groups):
-            key, members = self._groups[best]
-            return Selection(key.kind, key.shape, members, *statistics)
-        scan = self._tuned_scan(recorded.scans[best - len(self._groups)], extra)
-        members = self._add_scan_columns(scan) if significant or not for_noise else []
-        return Selection(scan.kind, self._scan_shape(scan), members, *statistics, scan)
+        statistics = significant, float(z[best]), p, float(z.max()), limit
+        if best < len(self.groups):
+            key, columns = self.groups[best]
+            return Effect(key.kind, key.shape, columns, *statistics), worth
+        scan = self._tuned(recorded.scans[best - len(self.groups)], extra)
+        columns = self._scan_columns(scan) if significant or not for_noise else []
+        return Effect(scan.kind, self._scan_shape(scan), columns, *statistics, scan), worth
 
-    def _step(self, choice: Selection, extra: Sequence[int]) -> Step:
-        """Complete a selection by the shifts of parameters, collinear kinds and its place."""
+    def _fitted(self, effect: Effect, extra: Sequence[int], worth: Array) -> Effect:
+        """Fit a selected candidate: its share and place, shifts of parameters, collinear kinds."""
+        d, split, scan = self.sizes.size, self.sizes.size + len(extra), effect.scan
+        before, *_ = self._fit(extra)
+        after, covariance, determined = self._fit([*extra, *effect.columns])
+        shift, moves = after[:d] - before[:d], {}
+        for name, gradient in self.gradients.items():
+            scaled = gradient * self.sizes
+            projected = determined[:d].T @ scaled
+            # of identified directions alone
+            if projected @ projected > 0.999 * (scaled @ scaled):
+                variance = float(gradient @ covariance[:d, :d] @ gradient)
+                moves[name] = float(gradient @ shift) / math.sqrt(variance)
         # effect in one recording alone, as a delay
-        recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
+        recording = {f"in {name}": name for name in self.scales.names}.get(effect.shape, "")
         span = None
-        if choice.kind == TRANSIENT and choice.scan is not None:
-            place, width = choice.scan.place, 2.0 * self.scales.transient_width
-            recording = self.observations[choice.scan.recording].name
-            span = place - width, place + width
-        return Step(
-            **vars(choice),
+        if scan is not None and scan.kind == TRANSIENT:
+            recording, reach = self.scales.names[scan.recording], 2.0 * self.scales.transient_width
+            span = scan.place - reach, scan.place + reach
+        return replace(
+            effect,
+            share=self._share(effect.columns, after[split:]),
             recording=recording,
             span=span,
-            collinear=tuple(self._collinear_kinds(choice, extra)) if choice.significant else (),
-            **self._fit_selected(choice.columns, extra),
+            coefficients=after[split:],
+            moves=moves,
+            collinear=tuple(self._collinear(effect, extra, worth)) if effect.significant else (),
         )
 
-    def _collinear_kinds(self, choice: Selection, extra: Sequence[int]) -> Iterator[str]:
+    def _fit(self, columns: Sequence[int]) -> tuple[Array, Array, Array]:
+        """Fit the model's own parameters and columns of candidates."""
+        white, size = self.data.whitened, np.append(self.sizes, np.ones(len(columns)))
+        return truncated_least_squares(white.with_candidates(columns), white.residual, size)
+
+    def _share(self, columns: Sequence[int], coefficients: Array) -> float:
+        """Return the rms of a candidate's torque over that of all torque."""
+        torque = self.data.others[:, columns] @ coefficients
+        return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
+
+    def _collinear(self, effect: Effect, extra: Sequence[int], worth: Array) -> Iterator[str]:
         """List other kinds that explain as much or are collinear; none for disturbances."""
-        if choice.kind in (SINUSOID, TRANSIENT):
+        if effect.kind in (SINUSOID, TRANSIENT):
             return
         white = self.data.whitened
         z = project_out(basis_of(white.with_candidates(extra)), white.others)
-        basis = basis_of(z[:, choice.columns])
-        ranked = list(zip(self._groups, choice.worth, strict=False))
-        best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=-math.inf)
-        if choice.scan is not None:  # the last search is the delay's
-            best = max(best, choice.worth[-1])
-        yielded = {choice.kind}
+        basis, yielded = basis_of(z[:, effect.columns]), {effect.kind}
+        ranked = list(zip(self.groups, worth, strict=False))
+        mine = [gain for (key, _), gain in ranked if key.kind == effect.kind]
+        best = max(mine, default=-math.inf)
+        if effect.scan is not None:  # the last search is the delay's
+            best = max(best, worth[-1])
         for (key, columns), gain in ranked:
             if key.kind in yielded or BY_NAME[key.kind].of_recording:
                 continue
-            other = basis_of(z[:, columns])
-            collinear = other.size > 0 and (
-                float(np.linalg.svd(basis.T @ other, compute_uv=False).min()) > COLLINEAR
-            )
-            if gain > best - BETTER or (collinear and gain > 0.5 * best):
+            cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
+            collinear = cosines.size > 0 and float(cosines.min()) > policy.COLLINEAR
+            if gain > best - policy.BETTER or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind
 
-    def _fit_selected(self, members: list[int], extra: Sequence[int]) -> dict[str, Any]:
-        """Fit the selected candidate: share, coefficients, and shifts of the model's parameters."""
-        white, d, split = self.data.whitened, self.values.size, self.values.size + len(extra)
-        size = np.ones(split + len(members))
-        size[:d] = self._sizes
-        before, *_ = truncated_least_squares(
-            white.with_candidates(extra), white.residual, size[:split]
-        )
-        both = white.with_candidates([*extra, *members])
-        after, covariance, determined = truncated_least_squares(both, white.residual, size)
-        return {
-            "share": self._share(members, extra),
-            "coefficients": after[split:],
-            "moves": self._parameter_shifts(
-                after[:d] - before[:d], covariance[:d, :d], determined[:d]
-            ),
-        }
+    # Sinusoids, transients and far delays
 
-    def _share(self, members: list[int], extra: Sequence[int]) -> float:
-        """Return the rms of a candidate's torque over that of all torque."""
-        white, split = self.data.whitened, self.values.size + len(extra)
-        size = np.ones(split + len(members))
-        size[: self.values.size] = self._sizes
-        coefficients = truncated_least_squares(
-            white.with_candidates([*extra, *members]), white.residual, size
-        )[0][split:]
-        torque = self.data.others[:, members] @ coefficients
-        return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
-
-    def _parameter_shifts(
-        self, shift: Array, covariance: Array, determined: Array
-    ) -> dict[str, float]:
-        """Convert a shift ``(d,)`` to shifts of each reported quantity in its sd.
-
-        ``determined`` ``(d, k)`` are the identified directions.
-        """
-        shifts, size = {}, self._sizes
-        for name, gradient in self._gradients.items():
-            scaled = gradient * size
-            projected = determined.T @ scaled
-            variance = float(gradient @ covariance @ gradient)
-            if projected @ projected > _DETERMINED * (scaled @ scaled):
-                shifts[name] = float(gradient @ shift) / math.sqrt(variance)
-        return shifts
-
-    @cached_property
-    def _gradients(self) -> dict[str, Array]:
-        """Derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
-        chain, d = self.chain, self.values.size
-        load = typical_load(chain, self.observations, self.values)
-        steps = _STEP * self._sizes
-        shifted = self.values + np.concatenate([np.diag(steps), -np.diag(steps)])
-        gradients = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
-        for quantity in derive(chain, shifted, load):
-            gradients[quantity.name] = (quantity.values[:d] - quantity.values[d:]) / (2.0 * steps)
-        return {k: v for k, v in gradients.items() if k not in self.known and np.isfinite(v).all()}
-
-    def _tuned_scan(self, scan: Scan, extra: Sequence[int]) -> Scan:
+    def _tuned(self, scan: Scan, extra: Sequence[int]) -> Scan:
         """Refine the frequency of a sinusoid."""
         if scan.kind != SINUSOID:
             return scan
@@ -556,28 +346,157 @@ class Regression:
             return f"{scan.place:.3g} Hz"
         if scan.kind in DELAYS:
             return next(key.shape for key in self.data.keys if key.delay == scan.place)
-        return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
+        return f"{self.scales.names[scan.recording]} at {scan.place:.2f} s"
 
-    def _add_scan_columns(self, scan: Scan) -> list[int]:
+    def _scan_columns(self, scan: Scan) -> list[int]:
         """Append the columns of a search result to recording and replicates; return indices."""
         if scan.kind in DELAYS:  # these columns exist already
             return [i for i, key in enumerate(self.data.keys) if key.delay == scan.place]
         first = self.data.others.shape[1]
 
         def extended(d: Columns) -> Columns:
-            is_sinusoid, width = scan.kind == SINUSOID, self.scales.transient_width
-            new_columns = (
-                sinusoid_columns(d.layout, scan.place)
-                if is_sinusoid
-                else transient_columns(d.layout, scan, width)
-            )
-            keys = (Key(scan.kind, self._scan_shape(scan), i) for i in range(new_columns.shape[1]))
-            return replace(
-                d, others=np.column_stack([d.others, new_columns]), keys=(*d.keys, *keys)
-            )
+            if scan.kind == SINUSOID:
+                columns = sinusoid_columns(d.layout, scan.place)
+            else:
+                columns = transient_columns(d.layout, scan, self.scales.transient_width)
+            keys = (Key(scan.kind, self._scan_shape(scan), i) for i in range(columns.shape[1]))
+            others = np.column_stack([d.others, columns])
+            return replace(d, others=others, keys=(*d.keys, *keys))
 
-        self.data, self.replicates = (
-            extended(self.data),
-            [extended(replicate) for replicate in self.replicates],
-        )
+        self.data = extended(self.data)
+        self.replicates = [extended(replicate) for replicate in self.replicates]
         return list(range(first, self.data.others.shape[1]))
+
+    # Marginalisation
+
+    def missing(self, observations: Sequence[Observation]) -> Missing:
+        """Return all candidates for marginalisation, after :meth:`effects`.
+
+        A disturbance or far delay is included only if it was selected, and so is a kind with a
+        least share. Columns have the size of all torque, those of friction the size of the model's
+        losses. The replicates' mean score is subtracted, half of it counts as spread. The noise is
+        that of the whole selection: included effects differ where several explain as much.
+        """
+        d, keys = replace(self.data, autocorrelation=self.noise).whitened, self.data.keys
+        base = basis_of(d.base)
+        # a short effect is no larger for that; additional losses are as large as the model's
+        losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in keys]
+        largest, highest = np.where(losses, self.scales.lost, self.scales.torque), self.data.others
+        highest = np.abs(highest).max(axis=0)
+        size = np.divide(largest, highest, out=np.zeros_like(highest), where=highest > 0.0)
+        columns, white = self.data.others * size, d.others * size
+        remainder = project_out(base, project_out(base, white))
+        residual = project_out(base, d.residual)
+        unit, total = np.linalg.norm(remainder, axis=0), np.linalg.norm(white, axis=0)
+        identified = unit > policy.TESTABLE * total
+        groups = [(k.kind, tuple(i)) for k, i in self.groups if not BY_NAME[k.kind].least]
+        groups += [(e.kind, tuple(e.columns)) for e in self.included if e.scan is not None]
+        # shapes between those of a grid
+        groups += [(f"beside {k.kind}", (i,)) for i, k in enumerate(keys) if k.nuisance]
+        kinds: dict[str, tuple[tuple[int, ...], ...]] = {}
+        for kind, members in groups:
+            if identified[list(members)].all():
+                kinds[kind] = (*kinds.get(kind, ()), members)
+        scored = [unit_scores(replicate.whitened, size) for replicate in self.replicates]
+        scores, sds = zip(*scored, strict=True)
+        mean, sd = np.mean(scores, axis=0), float(np.mean(sds))
+        spread, bias = np.std(scores, axis=0, ddof=1) / sd, mean / sd
+        biases = {effect.kind for effect in self.included}
+        biases -= {kind.name for kind in KINDS if kind.of_speed}
+        return Missing(
+            biases_friction=np.array([key.kind in biases for key in keys], dtype=bool),
+            observations=tuple(observations),
+            columns=columns,
+            kinds=kinds,
+            gram=remainder.T @ remainder,
+            scores=remainder.T @ residual - mean * unit,
+            column_errors=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
+            power=float(residual @ residual),
+            spread=np.hypot(np.maximum(spread, 1.0), HALF * bias),
+            free=residual.size - base.shape[1],
+        )
+
+
+def regression_of(
+    chain: Joint,
+    recordings: Sequence[Measurement],
+    observations: Sequence[Observation],
+    processing: Processing,
+    values: Array,
+    known: Collection[str] = (),
+    seed: int = 0,
+    number: int = policy.REPLICATES,
+) -> tuple[Regression, tuple[Replicate, ...]]:
+    """Set up the regression at parameters ``(n_parameters,)``, and simulate its replicates."""
+    draws, others, noise = np.random.SeedSequence(seed).spawn(3)
+    scales, sizes = scales_of(chain, values, observations), np.maximum(np.abs(values), 1e-12)
+    free = np.array([name not in known for name in chain.names])
+
+    def columns_at(vector: Array, observed: Sequence[Observation]) -> Columns:
+        """Compute the model's and the candidates' columns."""
+        blocks = []
+        for o, r in zip(observed, recordings, strict=True):
+            columns = dict(columns_along(MotionSignals(chain, vector, o, r, scales)))
+            blocks.append(filtered_columns(o, list(columns.values())))
+        steps = free * _STEP * np.maximum(np.abs(vector), 1.0)
+        base = torque_jacobian(chain, observed, vector, steps)
+        left = [o.measured - filtered_torque(chain, o, vector[None])[0] for o in observed]
+        layout, keys = Layout.of(observed), tuple(columns)
+        return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
+
+    data = columns_at(values, observations)
+    pairs = zip(observations, recordings, strict=True)
+    smoothed = max(MotionSignals(chain, values, o, r, scales).smoothed_at() for o, r in pairs)
+    vectors = draw_parameters(chain, values, data, number, np.random.default_rng(draws))
+    streams = zip(recordings, observations, others.spawn(len(recordings)), strict=True)
+    parts = [
+        replicates(chain, vectors, r, o, processing, stream.spawn(number))
+        for r, o, stream in streams
+    ]
+    simulated = []
+    for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
+        usable = [o for o in repeated if o is not None]
+        outputs = sum(o.measured.size for o in usable)
+        if len(usable) == len(repeated) and outputs >= len(chain.names) + policy.LEAST_OUTPUTS:
+            simulated.append((vector, columns_at(vector, usable)))
+    if len(simulated) < 0.5 * number:
+        raise ReplicateError("with parameters like these it hardly moves")
+    gradients = {
+        name: gradient
+        for name, gradient in reported_gradients(chain, values, observations).items()
+        if name not in known and np.isfinite(gradient).all()
+    }
+    columns, cutoff = [d for _, d in simulated], f"{smoothed:.3g} Hz"
+    regression = Regression(data, columns, scales, sizes, gradients, noise, cutoff)
+    return regression, tuple(Replicate(v, d.base, d.residual, d.layout) for v, d in simulated)
+
+
+def draw_parameters(
+    chain: Joint, values: Array, data: Columns, number: int, rng: np.random.Generator
+) -> Array:
+    """Draw parameters ``(number, n_parameters)`` from the estimate's normal.
+
+    Unidentified directions are left out, and no relative spread is more than a tenth.
+    """
+    size = np.maximum(np.abs(values), 1e-12)
+    rows = data.base * size
+    variance = mean_square(data.residual_with([]), values.size)
+    power, vectors = np.linalg.eigh(rows.T @ rows)
+    determined = power > OPEN * power.max()
+    sds = np.minimum(np.sqrt(variance / power[determined]), 0.1)
+    drawn = rng.standard_normal((number, int(determined.sum()))) * sds
+    lower = np.array([p.lower for p in chain.parameters])
+    return np.asarray(np.maximum(values + (drawn @ vectors[:, determined].T) * size, lower))
+
+
+def reported_gradients(
+    chain: Joint, values: Array, observations: Sequence[Observation]
+) -> dict[str, Array]:
+    """Return derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
+    d, load = values.size, typical_load(chain, observations, values)
+    steps = _STEP * np.maximum(np.abs(values), 1e-12)
+    shifted = values + np.concatenate([np.diag(steps), -np.diag(steps)])
+    gradients = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
+    for quantity in derive(chain, shifted, load):
+        gradients[quantity.name] = (quantity.values[:d] - quantity.values[d:]) / (2.0 * steps)
+    return gradients

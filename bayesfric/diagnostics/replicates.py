@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -20,15 +21,10 @@ from bayesfric.estimates.processing import fine_motion
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import delayed_command, later
+from bayesfric.recordings.filters import Resolution, delayed_command, finest_step, later
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.resolution import Resolution, finest_step
+from bayesfric.recordings.observation import Observation, observe, timed
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timing import timed
-
-# Degree of the spline: its second derivative is then as exact as the filters'.
-_DEGREE = 5
 
 
 class ReplicateError(Exception):
@@ -91,7 +87,8 @@ def replicate_motion(
     q, qd, qdd = np.empty((3, recording.time.size))
     for a, b in recording.segments:
         place = np.arange(b - a, dtype=np.float64)
-        spline = make_interp_spline(place, o.q[a:b], min(_DEGREE, b - a - 1))
+        # of degree five its second derivative is as exact as the filters'
+        spline = make_interp_spline(place, o.q[a:b], min(5, b - a - 1))
         for k, out in enumerate((q, qd, qdd)):
             out[a:b] = spline(place - phase, nu=k) / period**k
     parameters = np.where([name == chain.delay_name for name in chain.names], 0.0, values)
@@ -119,15 +116,8 @@ def _measure(
     position = _quantise(recording.position, q, noise if noisy_position else 0.0, rng)
     velocity = None if recording.velocity is None else _quantise(recording.velocity, qd, noise, rng)
     # the replicate's torque passes no filter of the drive
-    return replace(
-        recording,
-        position=position,
-        velocity=velocity,
-        torque=torque,
-        held=None,
-        torque_lag=None,
-        velocity_lag=None,
-    )
+    raw: dict[str, Any] = {"held": False, "torque_lag": None, "velocity_lag": None}
+    return replace(recording, position=position, velocity=velocity, torque=torque, **raw)
 
 
 def _with_target(
@@ -138,12 +128,10 @@ def _with_target(
     assert law is not None
     feedback = law.kp * q + law.kd * qd
     torque_command = torque if measured.back_emf is None else torque + measured.back_emf
-    error = np.divide(
-        torque_command, law.scale, out=np.zeros_like(torque_command), where=law.scale != 0.0
-    )
-    command = delayed_command(
-        error + feedback, measured.segments, -late / measured.period, held=False
-    )
+    error = np.zeros_like(torque)
+    np.divide(torque_command, law.scale, out=error, where=law.scale != 0.0)
+    late_samples = late / measured.period
+    command = delayed_command(error + feedback, measured.segments, -late_samples, held=False)
     return replace(measured, feedback=feedback, law=replace(law, command=command, held=False))
 
 
@@ -157,9 +145,8 @@ def _preprocess(
     """Filter and refine as the recording was; ``None`` if the filters leave no output."""
     settings, resolution = observation.settings, None
     if settings["motion"] != "refined":  # then the band is not searched
-        resolution = Resolution(
-            float(settings["band"]), "asked", float(settings["noise_seen"]), math.inf
-        )
+        band, noise = float(settings["band"]), float(settings["noise_seen"])
+        resolution = Resolution(band, "asked", noise, math.inf)
     try:
         preprocessed = observe(measured, processing, resolution)
         late = settings.get("delay")

@@ -5,3 +5,8 @@ every parameter from the error of the modelled torque, ``output_error`` (section
 parameter from the error of a simulated position. They start the sampler and are reported next to
 the posterior.
 """
+
+from typing import Literal, get_args
+
+Method = Literal["least-squares", "input-error", "output-error"]
+METHODS: tuple[Method, ...] = get_args(Method)

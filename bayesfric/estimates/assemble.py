@@ -17,8 +17,7 @@ from bayesfric.estimates.point_estimate import Bound, Estimate, EstimatedValue, 
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.quantities import Parameter, State
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.estimates.autoregression import long_run_variance
+from bayesfric.recordings.arrays import Array, Flags, Index
 
 # Relative size below which a singular value is rounding, for Jacobians exact to rounding.
 NULL = 1e-7
 # Least groups for each parameter for sums over groups.
 LEAST_GROUPS = 2.0
-# Least correlation of neighbouring residuals that counts.
-CORRELATED = 0.2
 # Least share of a direction left to the other groups.
 _LEAST_LEFT = 1e-2
 
@@ -106,13 +104,13 @@ class Information:
         units: Array,  # (d,) unit change of each parameter, for example its value
         *,
         # (n,) place of each residual on an even grid of time; other recordings are far apart
-        places: NDArray[np.int64] | None = None,
+        places: Index | None = None,
         known: Array | None = None,  # (k, d) rows 1/sd of independent knowledge
         tolerance: float = NULL,
         known_null: Array | None = None,
         # (n,) number of the group each residual belongs to, where they may be correlated within
         # groups in any way but not between them
-        groups: NDArray[np.int64] | None = None,
+        groups: Index | None = None,
         lost: int = 0,  # quantities that are fitted and eliminated, such as initial states
         least: float = 0.0,  # sd of a residual that rounding alone makes, as of an encoder
     ) -> None:
@@ -187,41 +185,3 @@ class Information:
             score = axes.T @ (basis[rows].T @ self._residual[rows])
             scores[k] = axes @ (score / np.sqrt(remaining))
         return scores
-
-
-def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
-    """Estimate the variance of the sum of a correlated series ``(n,)`` at places on an even grid.
-
-    Gaps count as zeros (Parzen 1963). Quadratic spectral kernel with the bandwidth of a first-order
-    autoregression: Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4.
-    """
-    grid = np.zeros(int(places[-1] - places[0]) + 1)
-    grid[places - places[0]] = score
-    size = 1 << int(2 * grid.size - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(grid, size)) ** 2
-    covariance = np.fft.irfft(spectrum, size)[: grid.size]
-    if not covariance[0] > 0.0:
-        return 0.0
-    present = np.zeros(grid.size)
-    present[places - places[0]] = 1.0
-    pairs = float(present[:-1] @ present[1:])
-    # correlation of neighbours, per pair
-    rho = covariance[1] / covariance[0] * score.size / max(pairs, 1.0) if grid.size > 1 else 0.0
-    rho = float(np.clip(rho, -0.97, 0.97))
-    alpha = 4.0 * rho**2 / (1.0 - rho) ** 4
-    bandwidth = max(1.3221 * (alpha * score.size) ** 0.2, 1e-9)
-    lags = np.arange(1, grid.size)
-    x = 6.0 * np.pi * lags / (5.0 * bandwidth)
-    near = x < 0.1
-    safe = np.where(near, 1.0, x)
-    kernel = np.where(near, 1.0 - x**2 / 10.0, 3.0 / safe**2 * (np.sin(safe) / safe - np.cos(safe)))
-    total = covariance[0] + 2.0 * float(kernel @ covariance[1:])
-    return max(float(total), 0.0)
-
-
-def lag_one(residual: Array, follows: Flags) -> float:
-    """Correlate residuals ``(M,)`` with their successors where these follow one step later."""
-    first, second, power = residual[:-1][follows], residual[1:][follows], np.mean(residual**2)
-    if first.size < 10 or power == 0.0:
-        return float("nan")
-    return float(np.mean(first * second) / power)

@@ -24,8 +24,7 @@ from bayesfric.estimates.torque import (
 )
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
-from bayesfric.mechanism.parameter import Parameter, effort_words
-from bayesfric.mechanism.quantities import SHAPES, TOTALS, Sizes
+from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, Sizes, effort_words
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 

@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import TorqueProblem, few_threads, input_error
 from bayesfric.estimates.least_squares import least_squares
-from bayesfric.estimates.point_estimate import METHODS, Estimate, Estimation, Knowledge, Method
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.estimates.processing import furthest_delay
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES

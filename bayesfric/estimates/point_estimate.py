@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from bayesfric.base.options import Options
+from bayesfric.estimates import Method
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.quantities import turned
 from bayesfric.recordings.arrays import Array
 
 # In the order of results; a method comes after the one that it starts from.
-Method = Literal["least-squares", "input-error", "output-error"]
-METHODS: tuple[Method, ...] = get_args(Method)
 Kind = Literal["total", "derived", "parameter"]
 Bound = Literal["lower", "upper"]
 

@@ -5,8 +5,8 @@ Noise of the acceleration at standstill is not all of it: wrong time stamps make
 with speed and frequency. So recordings are fitted in narrower bands: where the inertia grows and
 less torque is unexplained per hertz, the wider band is wrong.
 
-**Delay.** The torque is linear in a small delay (:mod:`bayesfric.recordings.timing`), so the delay
-of the position is one more coefficient; recordings are shifted by it until it settles.
+**Delay.** The torque is linear in a small delay (:mod:`bayesfric.recordings.observation`), so the
+delay of the position is one more coefficient; recordings are shifted by it until it settles.
 
 **Fine motion.** Regressors pass the same filter as the measured torque. Those nonlinear in the
 motion (direction, absolute value, direction of power) need a motion that is not low-passed: at a
@@ -41,18 +41,20 @@ from bayesfric.estimates.torque import minimum_norm
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import lowpass
+from bayesfric.recordings.checks import resting
+from bayesfric.recordings.filters import lowpass, lowpass_above
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.moving import resting
-from bayesfric.recordings.observation import Observation, observe, refinable, with_motion
-from bayesfric.recordings.resolution import lowpass_above
-from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timing import (
+from bayesfric.recordings.observation import (
     FAR_DELAYS,
+    Observation,
     filtered_rate,
     longest_delay,
+    observe,
+    refinable,
     retimed,
+    with_motion,
 )
+from bayesfric.recordings.source import Processing
 
 # Least relative growth of the inertia that counts: load-dependent friction, which totals leave out,
 # makes as much.

@@ -19,8 +19,7 @@ from scipy.optimize import least_squares
 from bayesfric.mechanism.inverse import load_torque, torque_at
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import along
-from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import TOTALS, State
+from bayesfric.mechanism.quantities import TOTALS, Parameter, State
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
@@ -30,7 +29,7 @@ Term = tuple[int, float]  # a parameter's index, and its torque at the motor for
 # Relative size below which a singular value of the regressors is rounding.
 OPEN = 1e-9
 # What is positive in any mechanism that loses energy; gravity's sign is that of Theta1.
-POSITIVE = tuple(total.name for total in TOTALS.values() if total.positive)
+POSITIVE = tuple(total.name for total in TOTALS.values() if total.lower == 0.0)
 # Numbers of unfiltered torque held at once.
 _ROWS_AT_ONCE = 2_000_000
 
@@ -347,10 +346,9 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
     )
 
     def column(name: str) -> Array:
-        if name in TOTALS:
+        if name in TOTALS and (total := TOTALS[name].column) is not None:
             cosine = name == "gravity_cosine"
-            state_ = state._replace(gravity=np.cos(o.q)) if cosine else state
-            return np.asarray(TOTALS[name].column(state_))
+            return np.asarray(total(state._replace(gravity=np.cos(o.q)) if cosine else state))
         if name in chain.offset_names:
             return np.full_like(o.q, name == f"offset.{o.inputs.recording}")
         p = chain.parameters[chain.names.index(name)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,11 @@ from bayesfric.export.joint_model import (
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
 from bayesfric.export.written_law import law, unwritten
-from bayesfric.fit.finished_run import Finished, finished
+from bayesfric.fit.result import Result, result_of
 from bayesfric.identifiability.friction_curve import covered, friction_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
 
@@ -134,8 +133,7 @@ def export(
     _check(form, options)
     if output is not None:
         check_output_folder(Path(output), force=force, marker="export.json")
-    run = posterior if isinstance(posterior, Finished) else finished(posterior)
-    exported = _export(replace(run, summary=put_reported(run.summary)), form, options)
+    exported = _export(result_of(posterior), form, options)
     if output is not None:
         exported.write(output, force=force)
     return exported
@@ -153,7 +151,7 @@ def _check(form: Format, options: Options) -> None:
         raise BadInput("--joint", f"{options.joint!r} is no name", "use letters, digits, _ - . /")
 
 
-def _export(run: Finished, form: Format, options: Options) -> Exported:
+def _export(run: Result, form: Format, options: Options) -> Exported:
     joint, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
     vectors = parameter_vectors(run, motions, options.draws or _DRAWS)
     recorded = covered(run.model, vectors.point, open_scale=True)
@@ -274,7 +272,7 @@ def _is_shape(p: Parameter) -> bool:
     return p.row.role == "form" and p.row.default != 0.0
 
 
-def _sources(run: Finished, form: Format) -> dict[str, list[str]]:
+def _sources(run: Result, form: Format) -> dict[str, list[str]]:
     """Name the parameters that each number of a format is made from."""
     names: dict[str, list[str]] = {number: [] for number in form.numbers}
     instead = {"armature": "link_inertia", "stiffness_cubic": "stiffness"}
@@ -326,7 +324,7 @@ def _notes(content: Mapping[str, Any], form: Format, error: Mapping[str, Any]) -
 
 
 def _number_rows(
-    run: Finished,
+    run: Result,
     form: Format,
     names: Mapping[str, str],
     numbers: Mapping[str, float],
@@ -365,7 +363,7 @@ def _number_rows(
 
 
 def _not_identified(
-    run: Finished, names: tuple[str, ...], vectors: ParameterVectors
+    run: Result, names: tuple[str, ...], vectors: ParameterVectors
 ) -> dict[str, str]:
     """Give the reported status of the parameters that are not identified."""
     scaled = {name for scaling in vectors.scalings for name in scaling.names}
@@ -378,15 +376,15 @@ def _not_identified(
             kinds = (*(rows[name].totals or (rows[name].name,)), *(rows[name].by_direction or ()))
             quantities = [f"total_{side}.{kind}" for side in ("drive", "back") for kind in kinds]
             table = run.summary.derived
-        reported = [table[x].reported for x in quantities if x in table]
-        status = max((x.status for x in reported if x), key=ORDER.index, default="identified")
+        worst = (table[x].reported.status for x in quantities if x in table)
+        status = max(worst, key=ORDER.index, default="identified")
         if status != "identified":
             statuses[name] = status
     return statuses
 
 
 def _torque_error(
-    run: Finished,
+    run: Result,
     form: Format,
     vector: Array,
     fitted: Numbers,
@@ -401,7 +399,7 @@ def _torque_error(
 
 
 def _friction_error(
-    run: Finished, numbers: Mapping[str, float], vectors: ParameterVectors, recorded: Array
+    run: Result, numbers: Mapping[str, float], vectors: ParameterVectors, recorded: Array
 ) -> dict[str, float]:
     """Compare a format's friction with the median over draws, at recorded speeds and loads.
 

@@ -98,7 +98,8 @@ class Format:
         """Compute the measured motor torque by its own law along the motions, ``(M,)``."""
         if self.complete:
             written = [not omitted(p.row) for p in joint.parameters]
-            return torque_along(joint, np.where(written, vector, 0.0)[None], motions)[0]
+            values = np.where(written, vector, 0.0)[None]
+            return np.asarray(torque_along(joint, values, motions)[0])
         if not self.friction:
             return np.asarray(bam_torque(joint, numbers, list(motions))[0])
         return np.asarray(simulated_torque(joint, numbers, motions)[0])

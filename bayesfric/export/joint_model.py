@@ -15,7 +15,7 @@ with the loss numbers that a format has.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,7 +68,11 @@ NUMBERS: Mapping[str, Number] = {
 # Of link and drive, which a format of joints leaves to the surrounding model.
 LINK_AND_DRIVE = ("link_inertia", "link_moment", "link_gravity_angle", "gain", "torque_offset")
 # Loss numbers, and the function of speed that each multiplies.
-LOSSES = {"friction": np.sign, "damping": np.positive, "quadratic": lambda v: v * np.abs(v)}
+LOSSES: Mapping[str, Callable[[Array], Array]] = {
+    "friction": np.sign,
+    "damping": np.positive,
+    "quadratic": lambda v: v * np.abs(v),
+}
 
 # Number of the joint that a quantity of an element or of the load is part of.
 _ELEMENT_NUMBERS: Mapping[str, str] = {
@@ -229,7 +233,11 @@ def simulated_torque(joint: Joint, numbers: Numbers, motions: Sequence[Trajector
     """
     motion, turns = joint.load.motion, joint.load.motion == "rotary"
     losses: dict[str, Any] = {"coulomb": "symmetric", "viscous": True, "quadratic": True}
-    weight = {"first_moment": turns, "gravity_angle": turns, "gravity": joint.load.gravity}
+    weight: dict[str, Any] = {
+        "first_moment": turns,
+        "gravity_angle": turns,
+        "gravity": joint.load.gravity,
+    }
     plain = Joint(
         elements=(Element("joint", motion=motion, inertia=True, **losses),),
         load=Load(motion=motion, inertia=True, spring="stiffening", **weight),

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.export.joint_model import Trajectory, torque_along
-from bayesfric.fit.finished_run import Finished
+from bayesfric.fit.result import Result
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.quantities import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
 
@@ -22,7 +22,7 @@ _DRAWS = 1000
 _NEAR = 0.1
 
 
-def open_scalings(run: Finished) -> tuple[Scaling, ...]:
+def open_scalings(run: Result) -> tuple[Scaling, ...]:
     """List scalings of link and load-dependent friction that data and priors leave open."""
     rows = run.summary.rows
     specified = {name for name, row in rows.items() if row.given_by}
@@ -49,7 +49,7 @@ class ParameterVectors:
     draws: Array  # (n, d)
 
 
-def parameter_vectors(run: Finished, motions: Sequence[Trajectory], count: int) -> ParameterVectors:
+def parameter_vectors(run: Result, motions: Sequence[Trajectory], count: int) -> ParameterVectors:
     """Take at most ``count`` evenly spread draws of a run, and a point estimate."""
     chain, opened = run.joint, open_scalings(run)
     draws, many = (_balanced(_corrected(run, run.picked(n)), opened) for n in (count, _DRAWS))
@@ -95,7 +95,7 @@ def _balanced(values: Array, opened: tuple[Scaling, ...]) -> Array:
     return values
 
 
-def _corrected(run: Finished, draws: Array) -> Array:
+def _corrected(run: Result, draws: Array) -> Array:
     """Shift draws by the bias correction of the reported values, within their bounds."""
     values = run.values(draws)
     for k, p in enumerate(run.joint.parameters):

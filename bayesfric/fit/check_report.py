@@ -19,7 +19,7 @@ from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.numbers import TEXT
-from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.summary.summary import estimate_table
 from bayesfric.report.terminal import aligned, shortened, wrapped
 from bayesfric.report.words import doubt_text, line_of
 
@@ -114,7 +114,7 @@ def _record(model: Problem) -> dict[str, Any]:
         "doubts": doubts,
         "taken": [finding.as_dict() for finding in included],
         "findings": findings,
-        "least_squares": estimate_summary(totals),
+        "least_squares": estimate_table(totals).as_dict(),
     }
 
 

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
-from bayesfric.diagnostics.explanation import Explanation
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.explanation import Explanation, Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.fit.result import Result
-from bayesfric.identifiability.identification import Identification, SpeedTerm, identify, speed_term
+from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, identify, speed_term
 from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit
@@ -23,28 +21,12 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.stiction_violations import StictionViolation, stiction_violations
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
-from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.doubts import add_model_error, find_doubts, put_doubts
 from bayesfric.report.summary.parts import friction_part, self_check_doubts, self_check_part
-from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
-from bayesfric.report.summary.rows import BackEmfPart, RestsPart
+from bayesfric.report.summary.record import FindingRow, RegressionPart, Summary
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
-
-
-@dataclass(frozen=True)
-class Examination:
-    """Checks of a posterior."""
-
-    explained: Explanation  # what else explains the torque
-    included: Sequence[Finding]  # effects added to the model automatically
-    # priors that the data contradict: estimate, and distance in standard deviations
-    contradicted: Mapping[str, tuple[float, float]]
-    back_emf: SpeedTerm | None
-    stiction_violations: Sequence[StictionViolation]
-    calibration_check: CalibrationCheck | None  # None if it was not requested
-    identified: Identification | None  # at the median; None if that cannot be simulated
 
 
 def fit(
@@ -73,12 +55,11 @@ def fit(
     if problem.held_out:
         held_out = predict_held_out(sampled.target, sampled.posterior, problem.held_out)
         sampled = replace(sampled, held_out=held_out)
-    # examine
+    # examine and conclude
     errors = discrepancy(sampled.target, sampled.posterior, explained.missing)
     sampled = replace(sampled, discrepancy=errors)
-    examined = _examine(problem, start, sampled, explained, included, progress)
-    # conclude
-    return Result(problem, sampled, _conclude(problem, start, sampled, examined))
+    summary = _conclude(problem, start, sampled, explained, included, progress)
+    return Result.of_fit(problem, sampled, summary)
 
 
 def _refuse_collinear_losses(problem: Problem, start: StartingPoint) -> None:
@@ -94,66 +75,55 @@ def _refuse_collinear_losses(problem: Problem, start: StartingPoint) -> None:
         )
 
 
-def _examine(
+def _conclude(
     problem: Problem,
     start: StartingPoint,
     sampled: Fit,
     explained: Explanation,
     included: Sequence[Finding],
     progress: ProgressCallback,
-) -> Examination:
-    target, posterior, recordings = sampled.target, sampled.posterior, problem.recordings
-    tables = problem.config.tables
+) -> Summary:
+    """Check a posterior, and summarise it: numbers with intervals, and doubts."""
+    target, posterior, tables = sampled.target, sampled.posterior, problem.config.tables
     checked: CalibrationCheck | None = None
     if tables.self_check.recordings != 0:
         checked = calibration_check(target, posterior, problem.observations, explained)
     progress(Progress("identifiability"))
-    identified: Identification | None = None
+    directions: list[OpenDirection] = []
     with suppress(BadInput):  # the median may be impossible to simulate
-        identified = identify(start.target, posterior.median)
-    usable = posterior.diagnostics.status != "unusable"
-    return Examination(
-        explained=explained,
-        included=included,
-        contradicted=problem.contradicted(dict(start.searched.point)),
-        back_emf=speed_term(target, posterior.median, recordings),
-        stiction_violations=[*stiction_violations(sampled, recordings, tables.processing)]
-        if usable
-        else [],
-        calibration_check=checked,
-        identified=identified,
-    )
-
-
-def _conclude(
-    problem: Problem, start: StartingPoint, sampled: Fit, examined: Examination
-) -> Summary:
-    """Summarise a posterior: numbers with intervals, and doubts."""
+        directions += identify(start.target, posterior.median).directions
+    violations: list[StictionViolation] = []
+    if posterior.diagnostics.status != "unusable":
+        violations += stiction_violations(sampled, problem.recordings, tables.processing)
     derived = groups(sampled)
     summary = summarise(sampled, problem.references(), start.choice, derived)
     summary = add_model_error(summary, sampled, derived)
-    summary = _with_back_emf(summary, examined.back_emf, len(problem.recordings))
-    rests = [RestsPart.model_validate(vars(v)) for v in examined.stiction_violations]
-    summary = summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
-    summary = _with_findings(summary, examined.explained, examined.included)
-    doubts = find_doubts(sampled, summary, examined.contradicted)
-    if examined.calibration_check is not None:
-        part = self_check_part(sampled, summary, examined.calibration_check, derived)
-        summary = summary.model_copy(update={"self_check": part})
-        doubts += self_check_doubts(summary)
-    summary = put_doubts(summary, doubts)
+    summary = _with_back_emf(summary, speed_term(target, posterior.median, problem.recordings))
+    findings = explained.with_severity(widened=summary.widened)
     update: dict[str, Any] = {
-        "friction": friction_part(sampled, summary),
+        "fit": summary.fit.model_copy(update={"rests": violations}),
+        "findings": [FindingRow.read(finding.as_dict()) for finding in findings],
+        "taken": [FindingRow.read(finding.as_dict()) for finding in included],
+        "regression": RegressionPart(
+            twins=len(explained.replicates),
+            asked=len(explained.kinds),
+            reason=explained.reason,
+            share=explained.share,
+        ),
+        "identifiability": summary.identifiability.model_copy(update={"directions": directions}),
         "warnings": [*summary.warnings, *start.missing],
         # a data file does not say that it is simulated; the configuration may
         "may_be_simulated": may_be_simulated(problem),
     }
-    if examined.identified is not None:
-        directions = {"directions": jsonable(examined.identified.directions)}
-        update["identifiability"] = Identifiability.model_validate(
-            summary.identifiability.as_dict() | directions
-        )
-    return put_reported(summary.model_copy(update=update))
+    summary = summary.model_copy(update=update)
+    contradicted = problem.contradicted(dict(start.searched.point))
+    doubts = find_doubts(sampled, summary, contradicted)
+    if checked is not None:
+        part = self_check_part(sampled, summary, checked, derived)
+        summary = summary.model_copy(update={"self_check": part})
+        doubts += self_check_doubts(summary)
+    summary = put_doubts(summary, doubts)
+    return summary.model_copy(update={"friction": friction_part(sampled, summary)})
 
 
 def may_be_simulated(problem: Problem) -> bool:
@@ -166,32 +136,12 @@ def may_be_simulated(problem: Problem) -> bool:
     )
 
 
-def _with_findings(
-    summary: Summary, explained: Explanation, included: Sequence[Finding]
-) -> Summary:
-    findings = explained.with_severity(widened=summary.widened)
-    regression = {
-        "twins": len(explained.replicates),
-        "asked": len(explained.kinds),
-        "reason": explained.reason,
-        "share": explained.share,
-    }
-    update = {
-        "findings": [FindingRow.model_validate(finding.as_dict()) for finding in findings],
-        "taken": [FindingRow.model_validate(finding.as_dict()) for finding in included],
-        "regression": RegressionPart.model_validate(regression),
-    }
-    return summary.model_copy(update=update)
-
-
-def _with_back_emf(summary: Summary, term: SpeedTerm | None, recordings: int) -> Summary:
+def _with_back_emf(summary: Summary, term: SpeedTerm | None) -> Summary:
     """Add what an error of the nominal back-EMF is collinear with, for voltage drives."""
     if term is None:
         return summary
-    part = BackEmfPart.model_validate(jsonable({**vars(term), "among": recordings}))
     changes = {
         name: {"meaning": line_of("with back-emf", {"meaning": summary.parameters[name].meaning})}
         for name in term.same_as_back_emf
     }
-    fit = summary.fit.model_copy(update={"back_emf": part})
-    return summary.with_rows(changes, fit=fit)
+    return summary.with_rows(changes, fit=summary.fit.model_copy(update={"back_emf": term}))

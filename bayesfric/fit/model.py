@@ -17,26 +17,27 @@ from bayesfric.base.progress import (
     no_progress,
     progress_shown,
 )
+from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import few_threads
 from bayesfric.estimates.methods import estimate_by
-from bayesfric.estimates.point_estimate import METHODS, Method
 from bayesfric.fit.fit import fit
 from bayesfric.fit.pooled_fit import Pooled, pooled
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.identification import Identification, identify, speed_term
 from bayesfric.identifiability.local import estimate_point, local_information
-from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value, recording_table
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.recording import Recording
-from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.recordings.source import Recording
+from bayesfric.report.summary.summary import estimate_table
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+    from bayesfric.identifiability.next_recording import Ranking
 
 
 class Model(Problem):
@@ -121,7 +122,7 @@ class Model(Problem):
         rows = {
             (estimate.method, name): row
             for estimate in self.estimates(methods or METHODS)
-            for name, row in estimate_summary(estimate)["parameters"].items()
+            for name, row in estimate_table(estimate).as_dict()["parameters"].items()
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
@@ -168,6 +169,8 @@ class Model(Problem):
             If nothing has that name, it is fixed, or nothing can be estimated here.
         """
         target, point = self._at_estimate(progress)
+        from bayesfric.identifiability.next_recording import ranking
+
         with self.config.named(), few_threads(self.observations):
             local = local_information(target, point)
             return ranking(

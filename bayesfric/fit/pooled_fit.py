@@ -8,8 +8,7 @@ from typing import Any
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, Timer
-from bayesfric.diagnostics.explanation import Explanation
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.explanation import Explanation, Finding
 from bayesfric.fit.check_report import check
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import fit, make_target
@@ -18,11 +17,7 @@ from bayesfric.inference.sampling.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem, starting_point
-from bayesfric.results.reported import Outcome, verdict
-
-LEVEL = 0.9
-# Largest number of recordings of a joint posterior.
-_MAX_RECORDINGS = 12
+from bayesfric.results.reported import LEVEL, Outcome, outcome_of
 
 
 @dataclass(frozen=True)
@@ -127,14 +122,12 @@ def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Po
         ),
         level=LEVEL,
         status=status,
-        outcome=verdict(
+        outcome=outcome_of(
             converged=status == "reliable",
-            doubts=len(doubts),
-            doubtful=sum(map(bool, moved_by.values())),
-            asked=None if any(e.reason for e in explained) else len(explained[0].kinds),
-            explained=None,
+            doubted=bool(doubts),
             lacking=bool(findings) and any(errors.is_plausible for errors in discrepancies),
-        ).outcome,
+            tested=not any(e.reason for e in explained),
+        ),
         findings=findings,
         problems=posterior.diagnostics.problems,
         warnings=check(problem).warnings,
@@ -143,7 +136,8 @@ def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Po
     )
 
 
-def _check(problem: Problem, vary: Sequence[str]) -> None:
+def _check(problem: Problem, vary: Sequence[str], *, largest: int = 12) -> None:
+    """Refuse what cannot be pooled, such as more recordings than the ``largest`` posterior."""
     names = problem.chain.names
     if not vary:
         what = "names no parameter that varies"
@@ -167,9 +161,9 @@ def _check(problem: Problem, vary: Sequence[str]) -> None:
     count = len(problem.observations)
     if count < 2:
         raise BadInput("recordings", "one recording is not a population", "add another")
-    if count > _MAX_RECORDINGS:
+    if count > largest:
         raise BadInput(
             "recordings",
-            f"{count} are too many for one posterior, {_MAX_RECORDINGS} at most",
+            f"{count} are too many for one posterior, {largest} at most",
             "fit each alone, and 'bayesfric compare' the runs",
         )

@@ -86,7 +86,7 @@ def _unit_rows(
                 "outcome": FAILED if summary is None else summary.verdict.outcome,
                 "error": errors.get(unit.name, ""),
                 "findings": [x.kind for x in summary.findings] if summary else [],
-                "reported": {name: x.reported for name, x in results.items() if x.reported},
+                "reported": {name: x.reported for name, x in results.items()},
                 "link": (page if (folder / page).is_file() else run).as_posix(),
                 "probability": p,
                 "where": where,  # the quantity
@@ -113,7 +113,7 @@ def _distribution(quantities: Sequence[FleetQuantity], across: int = 2) -> Figur
 def _panel(ax: Axes, quantity: FleetQuantity) -> list[Artist]:
     names = sorted(quantity.units, key=lambda name: quantity.units[name].value)
     x = np.arange(1.0, len(names) + 1.0)
-    ends = np.array([(x.low, x.high) for x in (quantity.units[name].printed for name in names)])
+    ends = np.array([(x.low, x.high) for x in (quantity.units[name].reported for name in names)])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
     scale = 10.0**exponent
     y = np.array([quantity.units[name].value for name in names]) / scale

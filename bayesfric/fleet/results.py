@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
-from bayesfric.population.outliers import WithOutliers, with_outliers
+from bayesfric.population.population import WithOutliers, with_outliers
 from bayesfric.report.comparison.between_runs import read_draws, shared_quantities
-from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow, Summary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,8 +33,7 @@ def results_table(
             continue
         summary = runs[unit.name]
         for name, row in summary.rows.items():
-            if (reported := row.reported) is None:
-                continue
+            reported = row.reported
             rows.append(
                 {
                     "unit": unit.name,
@@ -48,7 +46,7 @@ def results_table(
                     "level": row.level,
                     "measure": row.unit,
                     "status": reported.status,
-                    "findings": ", ".join(reported.how.findings),
+                    "findings": ", ".join(row.doubted if row.doubtful else ()),
                 }
             )
     table = pd.DataFrame(rows, columns=[*COLUMNS]).astype(COLUMNS)

@@ -14,9 +14,6 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-# Share of the torque below which inertia is negligible.
-_LITTLE = 0.05
-
 
 @dataclass(frozen=True)
 class Coverage:
@@ -37,22 +34,27 @@ def coverage_of(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> tuple[Coverage, ...]:
     """Compute what every recording covers at ``values`` ``(n_parameters,)``."""
-    covered = []
-    for o in observations:
-        shares = back_driving_shares(chain, [o], values[None])
-        covered.append(
-            Coverage(
-                name=o.name,
-                outputs=int(o.measured.size),
-                moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
-                load_drives={name: float(share[0]) for name, share in shares.items()},
-                turn=float(np.ptp(o.q[o.filter.centres])),
-                steady=_steady(chain, o, values),
-                added_mass=o.inputs.added_mass,
-                radius=o.inputs.radius,
-            )
+    return tuple(
+        Coverage(
+            name=o.name,
+            outputs=int(o.measured.size),
+            moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
+            load_drives=back_driving(chain, [o], values),
+            turn=float(np.ptp(o.q[o.filter.centres])),
+            steady=_steady(chain, o, values),
+            added_mass=o.inputs.added_mass,
+            radius=o.inputs.radius,
         )
-    return tuple(covered)
+        for o in observations
+    )
+
+
+def back_driving(
+    chain: Joint, observations: Sequence[Observation], values: Array
+) -> dict[str, float]:
+    """Share of moving outputs in which the load drives each lossy element, at one vector."""
+    shares = back_driving_shares(chain, observations, values[None])
+    return {name: float(share[0]) for name, share in shares.items()}
 
 
 def back_driving_shares(
@@ -79,25 +81,20 @@ def back_driving_shares(
 def _behind(
     chain: Joint, i: int, o: Observation, outputs: NDArray[np.int64], values: Array
 ) -> Array:
-    """Torque at the output of element ``i``, ``(n, len(outputs))``.
-
-    That of the load for the last element, else of the shorter chain behind it.
-    """
+    """Torque at the output of element ``i``, ``(n, len(outputs))``."""
     at = o.filter.centres[outputs]
-    q, qd, qdd = o.q[at], o.qd[at], o.acceleration[outputs]
+    q, qd, qdd, time = o.q[at], o.qd[at], o.acceleration[outputs], o.stamps[at]
     if i + 1 == len(chain.elements):
-        return np.stack(
-            [load_torque(chain, v, q, qdd, inputs=o.inputs, time=o.stamps[at]) for v in values]
-        )
+        torques = (load_torque(chain, v, q, qdd, inputs=o.inputs, time=time) for v in values)
+        return np.stack([*torques])
     rest = Joint(chain.elements[i + 1 :], chain.load)
     columns = [chain.names.index(name) for name in rest.names]
-    time = o.stamps[at]
     return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=time)
 
 
 def _steady(chain: Joint, o: Observation, values: Array) -> float:
-    """Share of outputs in which the torque would be the same without acceleration."""
+    """Share of outputs in which inertia takes less than a twentieth of the torque."""
     steady = replace(o, qdd=np.zeros_like(o.qdd))
     torque = filtered_torque(chain, o, values[None])[0]
     steady_torque = filtered_torque(chain, steady, values[None])[0]
-    return float(np.mean(np.abs(torque - steady_torque) < _LITTLE * np.abs(torque)))
+    return float(np.mean(np.abs(torque - steady_torque) < 0.05 * np.abs(torque)))

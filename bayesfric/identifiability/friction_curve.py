@@ -41,10 +41,6 @@ from bayesfric.results.reported import LEVEL
 NEAR = 0.08
 # Outputs that must be near a place to cover it.
 FEWEST = 3
-# A quantile of so many draws has an error of a fortieth of the band's width.
-_DRAWS = 1000
-_PRIOR_DRAWS = 500
-_POINTS = 121
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,15 +103,15 @@ def friction_curves(fit: Fit, levels: Sequence[float] = ()) -> list[Curve]:
     return curves
 
 
-def _grid(recorded: Array) -> Array:
+def _grid(recorded: Array, points: int = 121) -> Array:
     """Lay speeds over the recorded range, both ways if it has both."""
     low, high = float(recorded.min()), float(recorded.max())
     least = 1e-3 * max(-low, high)
     sides = [(low, -least)] if low < -least else []
     sides += [(least, high)] if high > least else []
-    speed = np.concatenate([np.linspace(*ends, _POINTS // len(sides)) for ends in sides])
+    speed = np.concatenate([np.linspace(*ends, points // len(sides)) for ends in sides])
     # friction jumps at standstill, where it is not defined
-    return np.insert(speed, _POINTS // 2, 0.0) if len(sides) > 1 else speed
+    return np.insert(speed, points // 2, 0.0) if len(sides) > 1 else speed
 
 
 def _quantiles(speed: Array, levels: Sequence[float], symmetric: bool) -> Array:
@@ -136,17 +132,20 @@ def has_open_scale(fit: Fit) -> bool:
     return local_information(fit.target, fit.posterior.median).from_theory > 0
 
 
-def band(fit: Fit, curve: Callable[[Array], Array]) -> tuple[Array, Flags]:
+def band(
+    fit: Fit, curve: Callable[[Array], Array], draws: int = 1000, prior_draws: int = 500
+) -> tuple[Array, Flags]:
     """Give ends and median ``(3, N)`` of a curve over draws, and where the data determine it.
 
     ``curve`` brings parameters ``(n, n_parameters)`` to the curve's points ``(n, N)``, ``nan``
-    where a draw has no value. The data determine it where they narrow what the prior has.
+    where a draw has no value. The data determine it where they narrow what the prior has. A
+    quantile of so many draws has an error of a fortieth of the band's width.
     """
     with np.errstate(all="ignore"), warnings.catch_warnings():
         # points without a draw are nan
         warnings.simplefilter("ignore", RuntimeWarning)
-        before = fit.posterior.prior_draws(_PRIOR_DRAWS, 4)
-        every = [curve(fit.chain_draws(_DRAWS)), curve(fit.target.chain_values(before))]
+        before = fit.posterior.prior_draws(prior_draws, 4)
+        every = [curve(fit.chain_draws(draws)), curve(fit.target.chain_values(before))]
         drawn, before = (np.where(np.isfinite(x), x, np.nan) for x in every)
         ends = np.nanquantile(drawn, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
         # between quartiles: what divides by 1 - mu_2 has no finite sd under many priors
@@ -160,14 +159,12 @@ def band(fit: Fit, curve: Callable[[Array], Array]) -> tuple[Array, Flags]:
 def friction_torque(
     chain: Joint, values: Array, speed: Array, load: Array, open_scale: bool
 ) -> Array:
-    """Friction of the whole joint at constant speed, seen at the motor.
+    """Friction ``(n, N)`` of the whole joint at constant speed, at the motor, against the motion.
 
-    ``speed`` ``(N,)`` is the motor's, without a value at zero; ``load`` ``(N,)``
-    is its loss-free torque of the load (``open_scale`` says which, see the module), positive where
-    it resists the motion. Given as ``(n, N)``, positive against the motion, at 20 degC and as a
-    recording begins; at no load it is what
-    the constant, viscous and quadratic ``total_drive.*`` of
-    :func:`bayesfric.mechanism.derived.derive` sum up, times ``drive.gain``.
+    ``speed`` ``(N,)`` is the motor's, without a value at zero; ``load`` ``(N,)`` is its loss-free
+    torque of the load (``open_scale`` says which, see the module), positive where it resists the
+    motion. At 20 degC, as a recording begins; at no load it is what the constant, viscous and
+    quadratic ``total_drive.*`` of :func:`bayesfric.mechanism.derived.derive` sum up, times gain.
     """
     sign = np.sign(speed)
     elements, table, carried = chain.tables(values)
@@ -213,7 +210,6 @@ def covered(recorded: Recorded, median: Array, open_scale: bool) -> Array:
     reach = float(load_reach(chain, median[None], open_scale=open_scale)[0])
     speeds, loads = [], []
     for o in recorded.observations:
-        gamma = load_at_outputs(chain, o, median)
         speeds.append(chain.ratio * o.speed)
-        loads.append(reach * gamma * np.sign(o.speed))
+        loads.append(reach * load_at_outputs(chain, o, median) * np.sign(o.speed))
     return np.stack([np.concatenate(speeds), np.concatenate(loads)])

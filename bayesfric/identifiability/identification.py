@@ -11,17 +11,16 @@ may determine even where they leave single parameters open.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from bayesfric.base.atomic_write import jsonable
-from bayesfric.base.templates import percent
+from bayesfric.base.templates import factor, percent
 from bayesfric.estimates.assemble import bounds_met
-from bayesfric.estimates.information import Directions
-from bayesfric.identifiability.coverage import Coverage, back_driving_shares, coverage_of
+from bayesfric.identifiability.coverage import Coverage, back_driving, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
@@ -29,26 +28,73 @@ from bayesfric.identifiability.local import (
     in_natural_units,
     joined,
     local_information,
+    meaning_of,
     prior_rows,
     verdict,
 )
-from bayesfric.identifiability.open_directions import (
-    HARDLY,
-    OpenDirection,
-    open_directions,
-    open_rows,
-    trials,
+from bayesfric.identifiability.simulated_recording import (
+    LAG,
+    LINES,
+    known_mass,
+    longest_stretch,
+    sample_period,
+    scaled_jacobian,
+    simulate_recording,
+    square_with_sines,
+    torque_noise,
 )
-from bayesfric.identifiability.simulated_recording import scaled_jacobian, torque_noise
-from bayesfric.inference.local_units import units_of
-from bayesfric.inference.prior.priors import KNOWN
-from bayesfric.inference.target import Target
+from bayesfric.inference.priors import KNOWN
+from bayesfric.inference.target import Target, units_of
+from bayesfric.mechanism import experiment
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.results.reported import KNOWN_BY, Determined, Status
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+RemedyKind = Literal["known value", "known mass", "excitation"]
+
+# Share of moving samples below which the load hardly ever drives an element.
+HARDLY = 0.01
+# Entries of a weak direction smaller than this share of the largest are not named.
+_NAMED = 0.2
+
+# Kind and text of one more recording, simulated at the estimate with the recordings' noise, and the
+# information (d, d) that its torque would add, in the local units.
+Trial = tuple[RemedyKind, str, Array]
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A remedy for an open direction, and its effect."""
+
+    kind: RemedyKind
+    text: str  # what to do
+    parameters: tuple[str, ...]  # for a known value: any single one of these
+    log_sd_after: float | None  # sd of the logarithm along the direction; None for a known value
+
+
+@dataclass(frozen=True)
+class OpenDirection:
+    """Parameters that can change together with little or no effect on the data."""
+
+    kind: Literal["null", "weak"]
+    # by parameter or alpha its power of a common factor; of those in_units the change in their unit
+    # for a factor of e
+    exponents: dict[str, float]
+    in_units: dict[str, str]  # units of parameters next to zero, which have no logarithm
+    log_sd: float | None  # sd of the factor's logarithm; None for a null direction
+    meaning: str
+    reasons: tuple[str, ...]
+    remedies: tuple[Remedy, ...]
+
+    @property
+    def null(self) -> bool:
+        """Whether no output changes along it."""
+        return self.kind == "null"
 
 
 @dataclass(frozen=True)
@@ -107,11 +153,9 @@ class Identification:
     def determined(self) -> list[Prospect]:
         """Combinations with a ``data_sd`` below half the value; no limits."""
         return [
-            combination
-            for combination in self.combinations
-            if combination.data_sd < WEAK * abs(combination.value)
-            and combination.status != "unidentified"
-            and not combination.on_bound
+            p
+            for p in self.combinations
+            if p.data_sd < WEAK * abs(p.value) and p.status != "unidentified" and not p.on_bound
         ]
 
     @property
@@ -124,9 +168,8 @@ class Identification:
         """Describe how often the load drives an element."""
         share, loss = self.back_driving[element], f"{element}.load_back"
         sentence = f"the load drives {element} in {percent(share)} % of the moving outputs"
-        row = next((prospect for prospect in self.parameters if prospect.name == loss), None)
-        open_loss = share < HARDLY and row is not None and row.status == "unidentified"
-        return f"{sentence}: {loss} rests on its prior" if open_loss else sentence
+        is_open = any(p.name == loss and p.status == "unidentified" for p in self.parameters)
+        return f"{sentence}: {loss} rests on its prior" if is_open and share < HARDLY else sentence
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
@@ -163,98 +206,281 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     local = in_natural_units(target, estimate, local_information(target, estimate))
-    values = target.chain_values(estimate[None])
-    coverage = coverage_of(chain, observations, values[0])
-    shares = back_driving_shares(chain, observations, values)
-    back = {name: float(share[0]) for name, share in shares.items()}
-    rare = any(share < HARDLY for share in back.values())
-    open_ = any(open_rows(local))
-    tried = trials(target, estimate, local, rare=rare) if open_ else []
-    free = [p for p in chain.parameters if p.name in target.free]
-    bounds = _bounds_met(target, estimate)
+    values = target.chain_values(estimate[None])[0]
+    coverage = coverage_of(chain, observations, values)
+    back = back_driving(chain, observations, values)
+    rare, free = any(share < HARDLY for share in back.values()), len(target.free)
+    tried = trials(target, estimate, local, rare=rare) if any(open_rows(local)) else []
     both = joined(local.directions.identified, prior_rows(target, local))
-    parameters = _parameters(target, estimate, local, bounds, both)
+    # ends of the priors that the estimate is on
+    limits, sds = zip(*((p.limits, p.sd()) for p in target.priors[:free]), strict=True)
+    low, high = np.array(limits).T
+    met = bounds_met(estimate[:free], low, high, np.where(np.isfinite(sds), sds, 0.0))
+    bounds = [{-1: "lower", 1: "upper"}.get(int(end)) for end in met]
+    parameters = [p for p in chain.parameters if p.name in target.free]
+    known = {
+        name
+        for name, prior, value in zip(target.names, target.priors, estimate, strict=True)
+        if not prior.default and prior.sd() < KNOWN * abs(value)
+    }
+    prospects = []
+    for j, (p, sd, bound) in enumerate(zip(parameters, sds, bounds, strict=True)):
+        data_sd, expected = float(local.data_sd[j]), both.sd(np.eye(free)[j] * local.units)
+        status = _status(verdict(expected, float(sd), data_sd), bound)
+        row = p.name, p.unit, p.meaning, float(estimate[j]), data_sd, expected, float(sd)
+        prospects.append(Prospect(*row, status, bound))
+    combinations = []
+    for q, value, gradient in derived_gradients(target, estimate, local):
+        if not np.isfinite([value, *gradient]).all() or not gradient.any():
+            continue  # undefined, or of fixed values
+        data_sd, expected = local.data_sd_of(gradient / local.units), both.sd(gradient)
+        ends = [bound for bound, x in zip(bounds, gradient, strict=True) if x]
+        end = ends[0] if all(ends) else None
+        # without a prior of its own
+        status = _status(verdict(expected, float("inf"), data_sd), end)
+        row = q.name, q.unit, q.meaning, value, data_sd, expected, float("nan")
+        combinations.append(Prospect(*row, status, end))
+    combinations.sort(key=lambda p: p.data_sd / max(abs(p.value), 1e-300))
     return Identification(
         target.likelihood.method,
         target.likelihood.noise.description,
         target.likelihood.noise.accounts_for_correlation,
         local,
-        tuple(
-            open_directions(local, free, coverage, back, tried, _known_parameters(target, estimate))
-        ),
-        parameters,
-        _combinations(target, estimate, local, parameters, both),
+        tuple(open_directions(local, parameters, coverage, back, tried, known)),
+        tuple(prospects),
+        tuple(combinations),
         coverage,
         back,
         speed,
     )
 
 
-def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
-    """Give the end of its prior that the estimate of each free parameter is on, if any."""
-    k = len(target.free)
-    low, high = np.array([p.limits for p in target.priors[:k]]).T
-    sds = np.array([p.sd() for p in target.priors[:k]])
-    met = bounds_met(estimate[:k], low, high, np.where(np.isfinite(sds), sds, 0.0))
-    return [{-1: "lower", 1: "upper"}.get(int(end)) for end in met]
-
-
-def _parameters(
-    target: Target,
-    estimate: Array,
-    local: LocalInformation,
-    bounds: Sequence[str | None],
-    both: Directions,
-) -> tuple[Prospect, ...]:
-    """Give the sds of every free parameter from data, data and prior, and prior."""
-    described = {p.name: p for p in target.likelihood.chain.parameters}
-    rows = []
-    for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
-        p, gradient = described[name], np.eye(len(target.free))[j] * local.units
-        data_sd, expected, prior_sd = float(local.data_sd[j]), both.sd(gradient), float(prior.sd())
-        sds = data_sd, expected, prior_sd
-        status = _status(verdict(expected, prior_sd, data_sd), bound)
-        rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, status, bound))
-    return tuple(rows)
-
-
 def _status(determined: Determined, bound: str | None) -> Status:
     return "limit" if bound and determined != "prior" else KNOWN_BY[determined]
 
 
-def _known_parameters(target: Target, estimate: Array) -> set[str]:
-    """Name parameters with an informative prior."""
-    return {
-        name
-        for name, prior, value in zip(target.names, target.priors, estimate, strict=True)
-        if not prior.default and prior.sd() < KNOWN * abs(value)
-    }
+# Open directions: why, and what would close them. Remedies are tried: a known value is removed from
+# the information; a further recording is simulated and its information added.
 
 
-def _combinations(
-    target: Target,
-    estimate: Array,
+def open_directions(
     local: LocalInformation,
-    parameters: Sequence[Prospect],
-    both: Directions,
-) -> tuple[Prospect, ...]:
-    """Give the derived quantities, best known first; undefined and fixed ones are left out."""
-    combinations = []
-    for q, value, gradient in derived_gradients(target, estimate, local):
-        if not np.isfinite([value, *gradient]).all() or not gradient.any():
-            continue
-        data_sd, expected = local.data_sd_of(gradient / local.units), both.sd(gradient)
-        ends = [p.on_bound for p, x in zip(parameters, gradient, strict=True) if x]
-        on_bound = ends[0] if all(ends) else None
-        # without its prior
-        status = _status(verdict(expected, float("inf"), data_sd), on_bound)
-        prospect = Prospect(q.name, q.unit, q.meaning, value, data_sd, expected)
-        combinations.append(replace(prospect, status=status, on_bound=on_bound))
-    return tuple(sorted(combinations, key=lambda p: p.data_sd / max(abs(p.value), 1e-300)))
+    free: Sequence[Parameter],
+    coverage: Sequence[Coverage],
+    back: Mapping[str, float],
+    simulated: Sequence[Trial],
+    known: Collection[str],
+) -> Iterator[OpenDirection]:
+    """List null directions first, then weak ones, the weakest first."""
+    for number, (row, null) in enumerate(open_rows(local)):
+        # smaller entries of a null direction are rounding
+        named = np.flatnonzero(np.abs(row) > (1e-5 if null else _NAMED)).tolist()
+        in_units = {free[j].name: free[j].unit for j in named if local.shifted[j]}
+        exponents = {
+            local.labels[j]: float(row[j] * local.units[j])
+            if local.shifted[j]
+            else float(round(row[j], 9 if null else 3))
+            for j in named
+        }
+        log_sd = None if null else left_along(local.information, row)
+        rest = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
+        if log_sd is None:
+            meaning = meaning_of(exponents, in_units)
+        else:
+            meaning = _weak(exponents, in_units, log_sd, rest)
+        theory = number < local.from_theory
+        reasons = _scaling(coverage) if theory else _reasons(free, row, null, coverage, back)
+        cures = remedies(local, row, simulated, known)
+        kind: Literal["null", "weak"] = "null" if null else "weak"
+        yield OpenDirection(kind, exponents, in_units, log_sd, meaning, tuple(reasons), cures)
 
 
-# Sine of the angle below which two columns of a Jacobian are collinear.
-_COLLINEAR = 1e-6
+def _weak(
+    exponents: Mapping[str, float], in_units: Mapping[str, str], log_sd: float, rest: bool
+) -> str:
+    """Describe one sd along a weak direction; with ``rest`` further parameters change a little."""
+    changes = ", ".join(
+        f"{name} {x * log_sd:+.2g} {in_units[name]}".strip()
+        if name in in_units
+        else f"{name} times {factor(x * log_sd)}"
+        for name, x in exponents.items()
+    )
+    others = ", with smaller changes of others" if rest else ""
+    all_ = "all " if len(exponents) > 1 else ""
+    return f"{changes}{others}, or the other way round: {all_}within one sd of the data"
+
+
+def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
+    """Give null and weak directions in the local units, the largest entry of each being one."""
+    for row in local.null_rows:
+        yield row, True
+    d = local.directions
+    identified = zip(d.singular_values[~d.null], d.rows[~d.null], strict=True)
+    for value, row in reversed(list(identified)):
+        if np.abs(row).max() > WEAK * value:
+            sparse = _sparse_row(row, local.null_rows)
+            yield sparse / sparse[int(np.argmax(np.abs(sparse)))], False
+
+
+def _sparse_row(row: Array, null: Array) -> Array:
+    """Subtract null directions to make a direction sparse.
+
+    The sum of absolute entries is least where an entry is zero, so those are candidates.
+    """
+    for other in null:
+        entries = np.flatnonzero(np.abs(other) > 1e-6)
+        choices = [row] + [row - row[c] / other[c] * other for c in entries]
+        row = min(choices, key=lambda candidate: float(np.abs(candidate).sum()))
+    return row
+
+
+def _scaling(coverage: Sequence[Coverage]) -> Iterator[str]:
+    """Explain why leg and gearbox scale together (section 4.2 of the paper)."""
+    mass = ", and every recording carries the same known mass, which counts as load"
+    loaded = all(recording.added_mass for recording in coverage)
+    yield (
+        "the torque at the motor holds only products of these (section 4.2 of the paper): a load "
+        f"twice as heavy behind a gearbox that passes on twice as much makes the same torque"
+        f"{mass if loaded else ''}"
+    )
+
+
+def _reasons(
+    free: Sequence[Parameter],
+    row: Array,
+    null: bool,
+    coverage: Sequence[Coverage],
+    back: Mapping[str, float],
+) -> Iterator[str]:
+    """Explain a direction that is open although it is not a scaling.
+
+    The load never drives, the joint turns too little or hardly accelerates; else effects are
+    collinear.
+    """
+    members = [p for p, x in zip(free, row, strict=True) if abs(x) > _NAMED]
+    # the terms that they fill
+    shaped = {kind for p in members for kind, _ in p.row.fills}
+    undriven = [element for element, share in back.items() if share < HARDLY]
+    for element in undriven:
+        yield (
+            f"the load {'hardly ever' if back[element] else 'never'} drives {element}: in "
+            f"{percent(back[element])} % of the moving outputs at the estimate"
+        )
+    if undriven and len(members) > 1:
+        yield f"while the motor always drives, effects on both sides of {undriven[0]} are collinear"
+    turn, steady = max(r.turn for r in coverage), min(r.steady for r in coverage)
+    small = ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0
+    slow = "inertia" in shaped and steady > 0.8
+    if small:
+        yield f"the load turns through {turn:.2g} rad only"
+    if slow:
+        yield (
+            f"the joint hardly accelerates: in {100.0 * steady:.0f} % of the outputs inertia takes "
+            "less than a twentieth of the torque"
+        )
+    if undriven or small or slow:
+        return
+    if len(members) > 1:
+        yield "their effects on the output have nearly the same shape in these recordings"
+    elif null:
+        yield f"no output changes with {members[0].name} in these recordings"
+    else:
+        yield "its effect on the output is small compared with the noise"
+
+
+def open_counts(information: Array) -> tuple[int, int]:
+    """Count null, and all open, directions of a Fisher information ``(d, d)``."""
+    if not information.size:
+        return 0, 0
+    values, vectors = np.linalg.eigh(information)
+    null = values <= 1e-14 * values[-1]
+    weak = np.abs(vectors).max(axis=0) > WEAK * np.sqrt(np.where(null, 0.0, values))
+    return int(null.sum()), int((null | weak).sum())
+
+
+def trials(
+    target: Target, parameters: Array, local: LocalInformation, *, rare: bool
+) -> list[Trial]:
+    """Simulate recordings that may be remedies."""
+    chain, observations = target.likelihood.chain, target.likelihood.observations
+    values = target.chain_values(parameters[None])[0]
+    longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
+    base, noise = observations[longest], torque_noise(target, parameters, longest)
+    measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), base.pace
+    time = period * np.arange(measured.size, dtype=np.float64)
+    peak = float(np.quantile(np.abs(measured), 0.99))
+    unit = "N m" if chain.motor_motion == "rotary" else "N"
+    experiments: list[tuple[RemedyKind, str, Array, Inputs]] = []
+    if len({replace(o.inputs, recording="") for o in observations}) == 1:
+        mass, article = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
+        text = f"another recording with {article} known added mass (added_mass, radius), such as "
+        text += f"{mass.added_mass:g} kg"
+        text += f" at {mass.radius:g} m" if chain.load.motion == "rotary" else ""
+        experiments.append(("known mass", text, measured, mass))
+    signals = {
+        "of many frequencies, such as a square wave plus a multisine": square_with_sines(
+            time, hertz, hertz * LINES
+        )
+    }
+    if rare:
+        wave = experiment.square(time, 1.0, hertz)
+        signals = {"in which the load drives the motor, such as a square wave": wave} | signals
+    for form, shape in signals.items():
+        text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
+        torque = experiment.current_loop(peak * shape, period, LAG)
+        experiments.append(("excitation", text, torque, base.inputs))
+    simulated = []
+    for kind, text, torque, bolted in experiments:
+        try:
+            recording = simulate_recording(chain, values, base, torque, bolted)
+        except ValueError:
+            continue  # it cannot be simulated, or stays at standstill
+        rows = scaled_jacobian(target, recording, values, local, noise)
+        if np.isfinite(information := rows.T @ rows).all():
+            simulated.append((kind, text, information))
+    return simulated
+
+
+def remedies(
+    local: LocalInformation, row: Array, simulated: Sequence[Trial], known: Collection[str]
+) -> tuple[Remedy, ...]:
+    """List the remedies for a direction ``(d,)``, known values first."""
+    information = local.information
+    before = left_along(information, row)
+    nulls, opens = open_counts(information)
+    null = not np.isfinite(before)
+    useful = []
+    # parameters that change least, relative to the largest, are no remedy
+    members = np.flatnonzero(np.abs(row) >= 0.3 * np.abs(row).max())
+    names = []
+    for j in members.tolist():
+        counts = open_counts(np.delete(np.delete(information, j, axis=0), j, axis=1))
+        if local.names[j] not in known and (counts[1] < opens or (null and counts[0] < nulls)):
+            names.append(local.names[j])
+    if names:
+        ways = "fix {}, or give it a prior from a data sheet or CAD"
+        if len(names) > 1:
+            ways = "fix, or give a prior from a data sheet or CAD to, one of {}"
+        text = ways.format(", ".join(names))
+        useful.append(Remedy("known value", text, tuple(names), None))
+    for kind, text, added in simulated:
+        along = left_along(information + added, row)
+        # one more recording of the same kind leaves 0.71 of the sd
+        if along < WEAK and along < 0.5 * before:
+            useful.append(Remedy(kind, text, (), along))
+    return tuple(useful)
+
+
+def left_along(information: Array, row: Array) -> float:
+    """Give the sd of the logarithm of the most changed parameter along a direction ``(d,)``."""
+    size = float(np.abs(row).max())
+    information_along = float(row @ information @ row)
+    # of a null direction squaring leaves rounding
+    rounding = 1e-14 * float(np.trace(information)) * float(row @ row)
+    return size / float(np.sqrt(information_along)) if information_along > rounding else np.inf
+
+
+# A torque computed from a voltage
 
 
 @dataclass(frozen=True)
@@ -285,13 +511,14 @@ class SpeedTerm:
 
 
 def speed_term(
-    target: Target, parameters: Array, recordings: Sequence[Measurement]
+    target: Target, parameters: Array, recordings: Sequence[Measurement], collinear: float = 1e-6
 ) -> SpeedTerm | None:
     """Project a torque proportional to speed on the effects of the parameters.
 
     With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
     motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. That,
-    filtered and whitened as the torque is, is projected on the columns of the Jacobian.
+    filtered and whitened as the torque is, is projected on the columns of the Jacobian;
+    ``collinear`` is the sine of the angle below which two columns are.
     """
     observations = target.likelihood.observations
     nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}
@@ -299,22 +526,20 @@ def speed_term(
     if not names:
         return None
     at, values = units_of(target, parameters), target.chain_values(parameters[None])[0]
-    noise = [torque_noise(target, parameters, r) for r in range(len(observations))]
-    pairs = list(zip(observations, noise, strict=True))
-    blocks = [scaled_jacobian(target, o, values, at, n) for o, n in pairs]
-    jacobian = np.concatenate(blocks)
-    term = np.concatenate(
-        [n.whitened(o.filter.apply(o.qd) * (o.name in names), o) for o, n in pairs]
-    )
+    noises = [torque_noise(target, parameters, r) for r in range(len(observations))]
+    pairs = list(zip(observations, noises, strict=True))
+    jacobian = np.concatenate([scaled_jacobian(target, o, values, at, n) for o, n in pairs])
+    terms = [n(o.filter.apply(o.qd) * (o.name in names), o) for o, n in pairs]
+    term = np.concatenate(terms)
     term /= np.linalg.norm(term)
     sizes = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
     apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
-    same = np.flatnonzero((sizes > 0.0) & (apart < _COLLINEAR))
+    same = np.flatnonzero((sizes > 0.0) & (apart < collinear))
     coefficients = np.linalg.lstsq(unit, term, rcond=1e-9)[0]
     residual = term - unit @ coefficients
-    if not same.size and np.linalg.norm(residual) < _COLLINEAR:  # as of friction by direction
-        same = np.flatnonzero(np.abs(coefficients) > _COLLINEAR)
+    if not same.size and np.linalg.norm(residual) < collinear:  # as of friction by direction
+        same = np.flatnonzero(np.abs(coefficients) > collinear)
     return SpeedTerm(
         names,
         max(nominal[name] for name in names),

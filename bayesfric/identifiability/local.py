@@ -13,14 +13,13 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.assemble import open_directions
+from bayesfric.estimates.autoregression import burg
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.estimates.torque import torque_jacobian, typical_load
-from bayesfric.inference.likelihood.autoregression import burg
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import LocalUnits, units_of
-from bayesfric.inference.prior.priors import Prior
-from bayesfric.inference.target import Target
+from bayesfric.inference.priors import Prior
+from bayesfric.inference.target import LocalUnits, Target, units_of
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -36,33 +35,8 @@ _NULL_SIMULATED = 1e-6
 WEAK = 0.5
 # Share of the prior's sd above which data do not determine a number.
 WIDE = 0.5
-# With other parameters' priors a number that they determine is at most so many times as wide as it
-# is, without these at least so many times.
-_WIDER, _BETTER = 1.5, 2.0
-# Share of the measured torque that a unit change makes, of values indistinguishable from zero.
-_UNIT_TORQUE = 0.1
-# Step of derivatives of derived quantities, in the local units.
-_DERIVED_STEP = 1e-5
-# Relative singular values below this are rounding once null directions are out.
-_JOINED = 1e-13
 # Entries of a null direction smaller than this are rounding.
 _ROUNDING = 1e-5
-# Grid of the search for noise scales: points a scale, and refinements.
-_GRID = _REFINEMENTS = 7
-
-
-@dataclass(frozen=True)
-class NullDirection:
-    """Parameters that can change together without changing any predicted torque."""
-
-    # by parameter (or alpha of load-dependent friction) its power of a common factor, the largest
-    # one; of a parameter next to zero its change in units of the prior sd
-    exponents: dict[str, float]
-
-    @property
-    def meaning(self) -> str:
-        """The same in words."""
-        return meaning_of(self.exponents)
 
 
 def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | None = None) -> str:
@@ -91,12 +65,18 @@ class LocalInformation(LocalUnits):
     from_theory: int = 0  # how many null directions are scalings (section 4.2)
 
     @property
-    def null_directions(self) -> tuple[NullDirection, ...]:
-        """Null directions by name, in the order of ``null_rows``."""
-        named = (zip(self.labels, row.tolist(), strict=True) for row in self.null_rows)
+    def null_directions(self) -> tuple[dict[str, float], ...]:
+        """Null directions in the order of ``null_rows``: by label its power of a common factor.
+
+        Of a parameter next to zero it is the change in units of the prior's standard deviation.
+        """
         return tuple(
-            NullDirection({label: round(x, 9) for label, x in pairs if abs(x) > _ROUNDING})
-            for pairs in named
+            {
+                label: round(x, 9)
+                for label, x in zip(self.labels, row.tolist(), strict=True)
+                if abs(x) > _ROUNDING
+            }
+            for row in self.null_rows
         )
 
     @property
@@ -164,7 +144,7 @@ def in_natural_units(
     k = len(local.names)
     sds = np.array([p.sd() for p in target.priors[:k]])
     with np.errstate(divide="ignore"):
-        floor = np.fmin(_UNIT_TORQUE * np.linalg.norm(measured) / effect, sds)
+        floor = np.fmin(0.1 * np.linalg.norm(measured) / effect, sds)
     size = np.abs(parameters[:k])
     small = np.isfinite(local.data_sd) & (WEAK * size < local.data_sd) & (size < floor)
     small &= local.ways == 0
@@ -191,7 +171,7 @@ def torque_changes(
 
 def joined(*rows: Array) -> Directions:
     """Decompose several Jacobians ``(n, d)`` together."""
-    return directions(np.concatenate(rows), np.ones(rows[0].shape[1]), _JOINED)
+    return directions(np.concatenate(rows), np.ones(rows[0].shape[1]), 1e-13)
 
 
 def prior_rows(target: Target, local: LocalInformation) -> Array:
@@ -206,7 +186,7 @@ def derived_gradients(
 ) -> Iterator[tuple[Derived, float, Array]]:
     """Give each derived quantity at sampled parameters, with its gradient in local units."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    steps = _DERIVED_STEP * np.abs(local.units)
+    steps = 1e-5 * np.abs(local.units)
     shifts = np.eye(steps.size, parameters.size) * steps[:, None]
     vectors = target.chain_values(parameters + np.concatenate([shifts, -shifts, 0.0 * shifts[:1]]))
     for q in derive(chain, vectors, typical_load(chain, observations, vectors[-1])):
@@ -232,11 +212,13 @@ def given_by(
     sd: float,
     prior_sd: float,
     own: int | None = None,
+    wider: float = 1.5,
 ) -> list[str]:
     """Name the informative priors that determine a number which the data leave open.
 
     Where a common factor changes no torque, the data leave each number in it open, and a prior on
-    one, such as a weight on scales, determines all.
+    one, such as a weight on scales, determines all. With these priors the sd is at most ``wider``
+    times what it is, without them at least twice as much.
     """
     if (np.isfinite(prior_sd) and sd >= WIDE * prior_sd) or not np.isfinite(gradient).all():
         return []
@@ -256,14 +238,12 @@ def given_by(
 
     with_all = sd_with(informative)
     # bounds, or its own prior, narrow the number further
-    if not with_all < _WIDER * sd or sd_with(()) < _BETTER * with_all:
+    if not with_all < wider * sd or sd_with(()) < 2.0 * with_all:
         return []
     best = min(informative, key=lambda i: sd_with((i,)))
-    if sd_with((best,)) < _WIDER * with_all:
+    if sd_with((best,)) < wider * with_all:
         return [local.names[best]]
-    needed = [
-        i for i in informative if sd_with([j for j in informative if j != i]) > _WIDER * with_all
-    ]
+    needed = [i for i in informative if sd_with({*informative} - {i}) > wider * with_all]
     return [local.names[i] for i in needed or informative]
 
 
@@ -325,46 +305,37 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
     For a likelihood of the torque, partial autocorrelations are Burg's and the scale is the root
     mean square of the innovations; noise of torque and position are searched on a grid.
     """
-    values = np.array(
-        [
-            np.clip(prior.turned(np.array(estimate[name])), prior.lower, prior.upper)
-            for name, prior in zip(target.free, target.priors, strict=False)
-        ]
-    )
+    pairs = zip(target.free, target.priors, strict=False)
+    turned = [(p.turned(np.array(estimate[name])), p.lower, p.upper) for name, p in pairs]
+    values = np.array([np.clip(*bounded) for bounded in turned])
     return np.concatenate([values, _likely_scales(target, values)])
 
 
 def _likely_scales(target: Target, values: Array) -> Array:
     """Estimate the noise scales at which the measurements are about most likely."""
-    likelihood, size = target.likelihood, len(target.noise.names)
-    chain = target.chain_values(np.concatenate([values, np.ones(size)])[None])
-    if isinstance(likelihood, TorqueLikelihood):
-        return _noise_of_residuals(target, likelihood, chain)
-    return _finest_scales(target, chain)
-
-
-def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, chain: Array) -> Array:
-    """Estimate autocorrelation by Burg's method, and scales from the innovations."""
-    noise, order = target.noise, likelihood.noise.order
+    noise, likelihood = target.noise, target.likelihood
+    chain = target.chain_values(np.concatenate([values, np.ones(len(noise.names))])[None])
+    if not isinstance(likelihood, TorqueLikelihood):
+        return _finest_scales(target, chain)
     predicted = likelihood.predict(chain)
     residuals = [o.measured - p[0] for o, p in zip(likelihood.outputs, predicted, strict=True)]
     scales = np.tile(likelihood.noise.starts(1.0)[0], (len(residuals), 1))
-    if order:
-        sizes = [float(np.sqrt(np.mean(r**2))) or 1.0 for r in residuals]
-        unit = [r / size for r, size in zip(residuals, sizes, strict=True)]
+    if order := likelihood.noise.order:
+        sizes = [float(np.sqrt(np.mean(x**2))) or 1.0 for x in residuals]
+        unit = [x / size for x, size in zip(residuals, sizes, strict=True)]
         scales[:, 1:] = burg(unit, [o.follows for o in likelihood.outputs], order)
     scales[:, 0] = 1.0
     innovations = likelihood.innovations(residuals, scales)
     scales[:, 0] = [np.sqrt(np.mean(x**2)) for x in innovations]
     if len(set(noise.places[:, 0].tolist())) == 1:
         scales[:, 0] = np.sqrt(np.average(scales[:, 0] ** 2, weights=likelihood.sizes))
-    values = np.empty(len(noise.names))
-    values[noise.places] = scales
+    likely = np.empty(len(noise.names))
+    likely[noise.places] = scales
     low, high = np.array([(p.lower, p.upper) for p in noise.priors]).T
-    return np.asarray(np.clip(values, np.nextafter(low, np.inf), np.nextafter(high, -np.inf)))
+    return np.asarray(np.clip(likely, np.nextafter(low, np.inf), np.nextafter(high, -np.inf)))
 
 
-def _finest_scales(target: Target, chain: Array) -> Array:
+def _finest_scales(target: Target, chain: Array, points: int = 7) -> Array:
     """Search noise scales of torque and position on a grid in logarithms, refined seven times."""
     noise = target.noise
     kinds = len(dict.fromkeys(noise.quantities))
@@ -374,10 +345,10 @@ def _finest_scales(target: Target, chain: Array) -> Array:
     high = np.log(np.minimum([p.upper for p in noise.priors[:kinds]], 1e12))
     low = np.maximum(low, high - np.log(1e9))
     lows, highs = np.tile(low, (sets, 1)), np.tile(high, (sets, 1))
-    index = np.indices((_GRID,) * kinds).reshape(kinds, -1).T
+    index = np.indices((points,) * kinds).reshape(kinds, -1).T
     best = lows
-    for _ in range(_REFINEMENTS):
-        axes = np.linspace(lows, highs, _GRID)  # (grid, sets, kinds)
+    for _ in range(7):
+        axes = np.linspace(lows, highs, points)  # (grid, sets, kinds)
         grid = axes[index[:, None, :], np.arange(sets)[:, None], np.arange(kinds)]
         scales = np.broadcast_to(np.exp(grid), (len(grid), len(noise.places), kinds))
         terms = target.likelihood.pointwise(np.tile(chain, (len(grid), 1)), scales)
@@ -386,6 +357,6 @@ def _finest_scales(target: Target, chain: Array) -> Array:
         highest = np.argmax(np.nan_to_num(sums, nan=-np.inf), axis=0)
         best = grid[highest, np.arange(sets)]
         # the best and its neighbours, inside the priors
-        reach = (highs - lows) / (_GRID - 1)
+        reach = (highs - lows) / (points - 1)
         lows, highs = np.maximum(best - reach, low), np.minimum(best + reach, high)
     return np.asarray(np.exp(best).reshape(-1))

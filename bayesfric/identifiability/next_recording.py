@@ -25,7 +25,7 @@ from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import directions
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.coverage import back_driving_shares
+from bayesfric.identifiability.coverage import back_driving
 from bayesfric.identifiability.local import (
     LocalInformation,
     derived_gradients,
@@ -47,11 +47,11 @@ from bayesfric.identifiability.simulated_recording import (
     torque_noise,
 )
 from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import RunsAway
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import TURN
+from bayesfric.mechanism.quantities import TURN
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs, steady
 from bayesfric.recordings.observation import Observation
@@ -61,25 +61,13 @@ if TYPE_CHECKING:
 
 CandidateKind = Literal["excitation", "known mass", "longer"]
 
-# A candidate that leaves a larger share of the sd is not worth the effort.
-WORTH = 0.95
 ASSUMPTION = (
     "All sds here hold only if the model is right. Where it misses something, the ± of "
     "'bayesfric fit' is larger: see first what 'bayesfric explain' would add."
 )
-# Least value of a shape parameter in a simulation, as a share of its unit.
-_OFF_ZERO = 1e-3
-# Default speed limit, over the fastest recorded speed.
-_SPEED_MARGIN = 1.2
 # Longest default recording, s and samples.
-_LONGEST = 30.0
-_LONGEST_SAMPLES = 60_000
-# Frequencies, as multiples of the pace at which the joint oscillated.
-_PACES = (0.5, 1.0, 2.0)
-_CHIRPS = ((0.25, 2.0), (0.5, 5.0))
+_LONGEST, _LONGEST_SAMPLES = 30.0, 60_000
 _LINES = {"slow multisine": np.array([0.13, 0.29, 0.53, 0.97, 1.9]), "multisine": LINES}
-# Factor on a torque that violates a limit, and how often it is applied.
-_REDUCTION, _TRIES = 0.85, 12
 
 
 @dataclass(frozen=True)
@@ -147,10 +135,8 @@ def limits_of(
     # at the temperature of the recording
     temperature = base.inputs.temperature
     mean_temperature = None if temperature is None else steady(float(np.mean(temperature.values)))
-    period = sample_period(base)
-    stretch = longest_stretch(base, None)
-    stretch_duration = (stretch.stop - stretch.start) * period
-    duration = options.duration or min(stretch_duration, _LONGEST, _LONGEST_SAMPLES * period)
+    period, stretch = sample_period(base), longest_stretch(base, None)
+    longest_duration = min((stretch.stop - stretch.start) * period, _LONGEST)
     recorded_start = float(base.q[stretch.start])
     start = _equilibrium(chain, values, recorded_start)
     # a joint that never reached its equilibrium was held by a controller
@@ -160,22 +146,18 @@ def limits_of(
     revolved = rotary and recorded[1] - recorded[0] >= TURN
     angles = options.angle_limits or (recorded if held or not revolved else None)
     low, high = angles or (-np.inf, np.inf)
+    start = start if low <= start <= high else recorded_start
     if not low <= start <= high:
-        start = recorded_start
-    if not low <= start <= high:
-        unit = "rad" if rotary else "m"
-        raise BadInput(
-            "advice.angle_limits",
-            f"[{low:g}, {high:g}] leaves out {recorded_start:.3g} {unit}, where the joint was when "
-            f"recording {base.name!r} began",
-            "give limits in the recordings' own angle",
-        )
+        problem = f"[{low:g}, {high:g}] leaves out {start:.3g} {'rad' if rotary else 'm'}, where "
+        problem += f"the joint was when recording {base.name!r} began"
+        hint = "give limits in the recordings' own angle"
+        raise BadInput("advice.angle_limits", problem, hint)
     masses = dict.fromkeys([Inputs(), *on_hand, *carried])
     return Limits(
         options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
-        options.speed_limit or _SPEED_MARGIN * max(fastest(o) for o in observations),
+        options.speed_limit or 1.2 * max(fastest(o) for o in observations),
         angles,
-        duration,
+        options.duration or min(longest_duration, _LONGEST_SAMPLES * period),
         options.lag,
         tuple(replace(mass, temperature=mean_temperature) for mass in masses),
         start,
@@ -216,13 +198,19 @@ def candidates(
     present = replace(base.inputs, recording="")
     # measured torque has passed the current loop
     signal = peak, command, period, 0.0
-    form = f"another recording just like {base.name!r}"
-    yield Candidate("longer", form, *signal, present, *state, base)
+    again = f"another recording just like {base.name!r}"
+    yield Candidate("longer", again, *signal, present, *state, base)
     for bolted in limits.masses:
         if (bolted.added_mass, bolted.radius) == (present.added_mass, present.radius):
             continue
-        carrying = _carrying(chain, values, base, bolted)
-        moved = float(np.abs(carrying.measured).max()), carrying.torque[stretch], period, 0.0
+        # the motion of the recording with another known mass
+        warm = replace(bolted, temperature=base.inputs.temperature)
+        torque = inverse_torque(
+            chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps
+        )
+        measured = base.filter.apply(torque)
+        carrying = replace(base, torque=torque, measured=measured, inputs=warm)
+        moved = float(np.abs(measured).max()), torque[stretch], period, 0.0
         form = f"the motion of {base.name!r} again"
         yield Candidate("known mass", form, *moved, bolted, *state, carrying)
         if not limits.held and peak <= limits.torque:
@@ -231,39 +219,29 @@ def candidates(
     if limits.held:
         return
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
-    unloaded = not any(o.inputs.added_mass for o in observations)
+    loaded = any(o.inputs.added_mass for o in observations)
     for bolted in limits.masses:
-        kind: CandidateKind = "known mass" if bolted.added_mass or not unloaded else "excitation"
+        kind: CandidateKind = "known mass" if bolted.added_mass or loaded else "excitation"
         for form, shape in _shapes(time, hertz):
-            # end without a torque
-            shape[-1] = 0.0
+            shape[-1] = 0.0  # end without a torque
             signal = limits.torque, limits.torque * shape, period, limits.lag
             yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
 
 
-def _carrying(chain: Joint, values: Array, base: Observation, bolted: Inputs) -> Observation:
-    """Repeat the motion of a recording with another known mass."""
-    warm = replace(bolted, temperature=base.inputs.temperature)
-    torque = inverse_torque(chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps)
-    return replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
-
-
 def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
     """Make signals of peak one."""
-    for pace in _PACES:
+    for pace in (0.5, 1.0, 2.0):
         f = pace * hertz
-        yield f"square wave at {f:.3g} Hz", excitation.square(time, 1.0, f)
-        yield f"sine at {f:.3g} Hz", excitation.sine(time, 1.0, f)
-    for low, high in _CHIRPS:
-        first, last = low * hertz, high * hertz
+        yield f"square wave at {f:.3g} Hz", experiment.square(time, 1.0, f)
+        yield f"sine at {f:.3g} Hz", experiment.sine(time, 1.0, f)
+    for first, last in ((0.25 * hertz, 2.0 * hertz), (0.5 * hertz, 5.0 * hertz)):
         form = f"chirp from {first:.3g} to {last:.3g} Hz"
-        yield form, excitation.chirp(time, 1.0, first, last)
+        yield form, experiment.chirp(time, 1.0, first, last)
     for name, multiples in _LINES.items():
         lines = hertz * multiples
         span = f"of {lines.size} sines from {lines[0]:.2g} to {lines[-1]:.2g} Hz"
         yield f"{name} {span}", sines(time, lines)
-        for pace in _PACES[:2]:
-            f = pace * hertz
+        for f in (0.5 * hertz, hertz):
             form = f"square wave at {f:.3g} Hz with a {name} {span}"
             yield form, square_with_sines(time, f, lines)
 
@@ -277,28 +255,23 @@ def try_out(
             return "the torque limit"
         violated = _violated(candidate.made, fastest(candidate.made), limits)
         return violated or (candidate, candidate.made)
-    violated_limit = None
-    for factor in (_REDUCTION ** np.arange(_TRIES)).tolist():
-        trial = replace(
-            candidate,
-            amplitude=candidate.amplitude * factor,
-            command=candidate.command * factor,
-            lowered=factor,
-            because_of=violated_limit,
-        )
-        torque = excitation.current_loop(trial.command, trial.period, trial.lag)
+    violated = None
+    for lowered in (0.85 ** np.arange(12)).tolist():
+        amplitude, command = candidate.amplitude * lowered, candidate.command * lowered
+        torque = experiment.current_loop(command, candidate.period, candidate.lag)
+        initial = candidate.q0, candidate.qd0
+        tried = replace(candidate, amplitude=amplitude, command=command, lowered=lowered)
+        tried = replace(tried, because_of=violated)
         try:
-            recording = simulate_recording(
-                chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0)
-            )
-            violated_limit = _violated(recording, float(np.abs(recording.qd).max()), limits)
+            recording = simulate_recording(chain, values, base, torque, tried.inputs, initial)
+            violated = _violated(recording, float(np.abs(recording.qd).max()), limits)
         except RunsAway:
-            violated_limit = "the joint runs away"
+            violated = "the joint runs away"
         except ValueError as error:
             return str(error)
-        if not violated_limit:
-            return trial, recording
-    return f"{violated_limit}, even with {100.0 * factor:.0f} % of the torque"
+        if not violated:
+            return tried, recording
+    return f"{violated}, even with {100.0 * lowered:.0f} % of the torque"
 
 
 def _violated(recording: Observation, speed: float, limits: Limits) -> str | None:
@@ -360,9 +333,7 @@ class Ranking:
     def worth(self) -> bool:
         """Whether the best candidate leaves less than 95 % of the sd that is left now."""
         best = self.advices[0].after if self.advices else self.now
-        if not np.isfinite(best.sd):
-            return False
-        return best.sd < WORTH * self.now.sd or not np.isfinite(self.now.sd)
+        return bool(np.isfinite(best.sd)) and best.sd < 0.95 * self.now.sd
 
     @property
     def verdict(self) -> str:
@@ -370,23 +341,18 @@ class Ranking:
         if not self.advices:
             return "None of the candidates can be played within the limits."
         if not self.determined:
-            mass = "; a known mass (masses in [advice]) may"
-            return (
-                f"None of the candidates determines {self.quantity}: with any of them, it "
-                f"depends on the priors{mass * (len(self.limits.masses) < 2)}."
-            )
+            mass = "; a known mass (masses in [advice]) may" * (len(self.limits.masses) < 2)
+            problem = f"None of the candidates determines {self.quantity}"
+            return f"{problem}: with any of them, it depends on the priors{mass}."
         share = self.advices[0].after.sd / self.now.sd
         if not self.worth:
-            return (
-                "None of the candidates is worth the effort: the best leaves "
-                f"{100.0 * share:.0f} % of the sd there is."
-            )
+            left = f"the best leaves {100.0 * share:.0f} % of the sd there is"
+            return f"None of the candidates is worth the effort: {left}."
         if not np.isfinite(self.advices[0].after.data_sd):
             return "The best leaves it to the priors where they are narrower than the data are."
         if not np.isfinite(self.now.data_sd):
-            return (
-                "The recordings there are leave it open; the best of the next would determine it."
-            )
+            open_ = "The recordings there are leave it open"
+            return f"{open_}; the best of the next would determine it."
         return f"The best of the next would leave {percent(share)} % of that sd."
 
     @property
@@ -396,22 +362,23 @@ class Ranking:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``identify --advise --json`` prints; what is infinite is ``None``."""
-        rows = [
-            _described(advice.candidate)
-            | {"rank": rank, "after": advice.after, "load_drives": advice.load_drives}
-            | {"peak_speed": advice.peak_speed, "angles": advice.angles}
-            | {
-                "torque_lowered_to": advice.candidate.lowered,
-                "because_of": advice.candidate.because_of,
-            }
-            for rank, advice in enumerate(self.advices, start=1)
-        ]
+        rows = []
+        for rank, advice in enumerate(self.advices, start=1):
+            tried = advice.candidate
+            limit = {"torque_lowered_to": tried.lowered, "because_of": tried.because_of}
+            effect = {name: x for name, x in vars(advice).items() if name != "candidate"}
+            rows.append(_described(tried) | {"rank": rank} | effect | limit)
         masses = [(m.added_mass, m.radius) for m in self.limits.masses if m.added_mass]
         fields = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
-        fields |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
-        fields |= {"limits": {**vars(self.limits), "masses": masses}}
-        fields |= {"assumption": ASSUMPTION, "verdict": self.verdict, "candidates": rows}
-        fields["dropped"] = [_described(advice) | {"reason": why} for advice, why in self.dropped]
+        fields |= {
+            "determined": bool(np.isfinite(self.now.data_sd)),
+            "now": self.now,
+            "limits": {**vars(self.limits), "masses": masses},
+            "assumption": ASSUMPTION,
+            "verdict": self.verdict,
+            "candidates": rows,
+            "dropped": [_described(tried) | {"reason": why} for tried, why in self.dropped],
+        }
         return dict(jsonable(fields))
 
     @property
@@ -426,9 +393,15 @@ class Ranking:
 
 
 def _described(candidate: Candidate) -> dict[str, Any]:
-    fields = {"kind": candidate.kind, "form": candidate.form, "peak_torque": candidate.amplitude}
-    fields |= {"duration": candidate.duration, "added_mass": candidate.inputs.added_mass}
-    return fields | {"radius": candidate.inputs.radius, "start": candidate.q0}
+    return {
+        "kind": candidate.kind,
+        "form": candidate.form,
+        "peak_torque": candidate.amplitude,
+        "duration": candidate.duration,
+        "added_mass": candidate.inputs.added_mass,
+        "radius": candidate.inputs.radius,
+        "start": candidate.q0,
+    }
 
 
 def ranking(
@@ -459,9 +432,8 @@ def ranking(
     def uncertainty_with(*added: Observation) -> Uncertainty:
         rows = [scaled_jacobian(target, o, values, local, noise) for o in added]
         jacobian, scalings = np.concatenate([local.directions.identified, *rows]), None
-        if (
-            added
-        ):  # project out what all recordings together leave open: rounding makes no finite sd
+        if added:
+            # project out what all recordings together leave open: rounding makes no finite sd
             fixed, recordings = fixed_in(target, values), [*observations, *added]
             scalings = open_directions(chain, fixed, recordings, values) / local.units
         if not np.isfinite(jacobian).all():
@@ -482,8 +454,7 @@ def ranking(
             dropped.append((candidate, result))
             continue
         played, o = result
-        shares = back_driving_shares(chain, [o], values[None])
-        drives = {element: float(share[0]) for element, share in shares.items()}
+        drives = back_driving(chain, [o], values)
         peak = fastest(o) if played.made is not None else float(np.abs(o.qd).max())
         ends = float(o.q.min()), float(o.q.max())
         advices.append(Advice(played, uncertainty_with(o), drives, peak, ends))
@@ -502,14 +473,14 @@ def _quantity(
     if name in target.free:
         j, p = target.free.index(name), parameters[name]
         return p.unit, p.meaning, float(point[j]), np.eye(local.units.size)[j] * local.units
-    if name in parameters:
-        value = target.chain_values(point[None])[0, chain.names.index(name)]
-        problem = f"is fixed at {value:.6g} by its prior"
-        raise BadInput(where, problem, f"give priors.{name} a width, or choose another quantity")
     derived = {q.name: (q, value, x) for q, value, x in derived_gradients(target, point, local)}
-    if name not in derived:
+    if name not in derived | parameters:
         hint = nearest(name, [*parameters, *derived])
         raise BadInput(where, "no parameter or derived quantity has that name", hint)
+    if name in parameters:
+        value = target.chain_values(point[None])[0, chain.names.index(name)]
+        hint = f"give priors.{name} a width, or choose another quantity"
+        raise BadInput(where, f"is fixed at {value:.6g} by its prior", hint)
     q, value, gradient = derived[name]
     if not np.isfinite(gradient).all() or not gradient.any():
         problem = "is not defined at the estimate, or made of fixed values only"
@@ -527,5 +498,5 @@ def _simulable(target: Target, parameters: Array, local: LocalInformation) -> Ar
     for k, name in enumerate(target.free):
         row = chain.parameters[chain.names.index(name)].row
         if row.role == "form" and row.lower == 0.0 < row.default:
-            moved[k] = max(moved[k], _OFF_ZERO * abs(float(local.units[k])))
+            moved[k] = max(moved[k], 1e-3 * abs(float(local.units[k])))
     return np.asarray(target.chain_values(moved[None])[0])

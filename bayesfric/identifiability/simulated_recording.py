@@ -5,41 +5,35 @@ They pass the filters of a measured recording, and have its noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from bayesfric.estimates.autoregression import follows
 from bayesfric.identifiability.local import torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import LocalUnits
-from bayesfric.inference.moments.residual_moments import follows
-from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
+from bayesfric.inference.noise import Autoregressive
+from bayesfric.inference.target import LocalUnits, Target
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.checks import moving_samples
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import AT_ROOM, Inputs
-from bayesfric.recordings.moving import moving_samples
-from bayesfric.recordings.observation import Observation, as_position
-from bayesfric.recordings.timing import retimed
+from bayesfric.recordings.observation import Observation, as_position, retimed
 
-# Longest simulation, in samples and in s.
-_LONGEST_SAMPLES = 20_000
-_LONGEST = 10.0
 # Time constant of a current loop, as in the paper's bench.
 LAG = 0.005
-# Sines that are most informative, as multiples of the joint's pace; and the share of the peak of
-# the square wave that carries them.
+# Sines that are most informative, as multiples of the joint's pace.
 LINES: Array = np.array([0.37, 0.73, 1.3, 2.9, 5.3])
-_SQUARE_SHARE = 0.6
-# Mass and radius where the load gives none, kg and m, and the largest mass to propose.
-_MASS, _RADIUS = 2.0, 0.35
+# Largest mass to propose, kg.
 HEAVIEST = 5.0
-# Fewest outputs of a joint that moves.
-_FEWEST = 20
+
+# Whitens changes of the torque (..., M) of a recording to unit noise.
+Whitening = Callable[[Array, Observation], Array]
 
 
 def sample_period(observation: Observation) -> float:
@@ -63,10 +57,10 @@ def known_mass(chain: Joint, values: Array) -> Inputs:
     motion = [0.0, 0.0], [0.0, 0.0], [0.0, 1.0]
     torques = inverse_torque(chain, values, *motion, inputs=AT_ROOM, time=time)
     total_inertia = inertia if inertia > 0.0 else float(chain.ratio * (torques[1] - torques[0]))
-    radius = 0.0 if chain.load.motion == "linear" else _RADIUS
+    radius = 0.0 if chain.load.motion == "linear" else 0.35
     if radius == 0.0 or moment <= 0.0:
         mass = total_inertia / (radius**2 or 1.0)
-        return Inputs(_two_digits(min(mass, HEAVIEST)) if total_inertia > 0.0 else _MASS, radius)
+        return Inputs(_two_digits(min(mass, HEAVIEST)) if total_inertia > 0.0 else 2.0, radius)
     if inertia > 0.0:
         radius = float(np.clip(inertia / moment, 0.05, 1.0))
     elif moment <= 0.1:
@@ -76,48 +70,36 @@ def known_mass(chain: Joint, values: Array) -> Inputs:
 
 def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
     """Make a signal of peak one, a square wave with a multisine of ``lines`` Hz on it, ``(N,)``."""
-    square = excitation.square(time, _SQUARE_SHARE, hertz)
-    return square + (1.0 - _SQUARE_SHARE) * sines(time, lines)
+    return experiment.square(time, 0.6, hertz) + 0.4 * sines(time, lines)
 
 
 def sines(time: Array, lines: Array) -> Array:
     """Make a multisine of peak one and ``lines`` Hz, ``(N,)``."""
-    signal = excitation.multisine(time, 1.0, lines)
+    signal = experiment.multisine(time, 1.0, lines)
     return np.asarray(signal / max(float(np.abs(signal).max()), 1e-12))
 
 
-@dataclass(frozen=True, eq=False)
-class TorqueNoise:
-    """Noise of the filtered torque."""
-
-    model: Autoregressive  # White or autoregressive
-    scales: Array  # (Q,) its size, N m or N, then partial autocorrelations
-
-    def whitened(self, rows: Array, observation: Observation) -> Array:
-        """Whiten changes of the torque ``(..., M)`` to unit noise."""
-        return self.model.standard(rows, follows(observation), self.scales)[0]
-
-
-def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
-    """Give the noise of a recording's filtered torque, for any likelihood."""
+def torque_noise(target: Target, parameters: Array, number: int) -> Whitening:
+    """Return the whitening by the noise of a recording's filtered torque, for any likelihood."""
     scales = target.noise.scales(parameters[None, len(target.free) :])[0, number]
-    likelihood = target.likelihood
+    likelihood, model = target.likelihood, Autoregressive()
     if isinstance(likelihood, TorqueLikelihood):
-        return TorqueNoise(likelihood.noise, scales)
-    # the noise of a sample, filtered
-    taps = likelihood.observations[number].filter.taps
-    return TorqueNoise(Autoregressive(), scales[:1] * float(np.linalg.norm(taps)))
+        model = likelihood.noise
+    else:  # the noise of a sample, filtered
+        taps = likelihood.observations[number].filter.taps
+        scales = scales[:1] * float(np.linalg.norm(taps))
+    return lambda rows, observation: model.standard(rows, follows(observation), scales)[0]
 
 
 def scaled_jacobian(
-    target: Target, observation: Observation, values: Array, at: LocalUnits, noise: TorqueNoise
+    target: Target, observation: Observation, values: Array, at: LocalUnits, whiten: Whitening
 ) -> Array:
     """Differentiate a recording's filtered torque over its noise, ``(n_outputs, d)``."""
     jacobian = torque_changes(target.likelihood.chain, [observation], values, at) * at.units
-    return noise.whitened(jacobian.T, observation).T
+    return whiten(jacobian.T, observation).T
 
 
-def longest_stretch(observation: Observation, duration: float | None = _LONGEST) -> slice:
+def longest_stretch(observation: Observation, duration: float | None = 10.0) -> slice:
     """Give the longest segment that outputs come from, at most ``duration`` s of it."""
     segment_of = observation.segment_of
     segments, counts = np.unique(segment_of, return_counts=True)
@@ -126,7 +108,7 @@ def longest_stretch(observation: Observation, duration: float | None = _LONGEST)
     last = int(starts[-1]) + len(observation.filter.taps)
     if duration is None:
         return slice(first, last)
-    samples = min(_LONGEST_SAMPLES, int(duration / sample_period(observation)))
+    samples = min(20_000, int(duration / sample_period(observation)))
     return slice(first, min(last, first + samples))
 
 
@@ -162,7 +144,7 @@ def simulate_recording(
     moving = moving_samples(qd, segments, float(settings.get("dead_zone", slow)), guard)
     span = (trim, max(size - trim, trim))
     windows = lay_windows(observation.filter.taps, (span,), step, moving & (motion.qd != 0.0))
-    if windows.n_outputs < _FEWEST:
+    if windows.n_outputs < 20:
         raise ValueError("the joint hardly moves")
     recording = replace(
         observation,

@@ -20,12 +20,10 @@ from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.linearisation import linearisation_change
-from bayesfric.inference.noise import SCALES
-from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.noise.scale import NoiseScale, noise_of
+from bayesfric.inference.noise import SCALES, Autoregressive, NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.prior.priors import Prior, PriorText, default_prior, read_prior
+from bayesfric.inference.priors import Prior, PriorText, default_prior, read_prior
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
@@ -33,27 +31,12 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-# Draws of the expected posterior for which a likelihood is precomputed.
-_PRECOMPUTE_DRAWS = 300
-# Predicted outputs, over all draws, of a mean residual.
-_PREDICTED_OUTPUTS = 2_000_000
-# Draws that are widened by the model discrepancy, each of which is evaluated.
-_WIDENED_DRAWS = 8000
-# Slow evaluations in a step of a climb from which the target is precomputed again.
-_SLOW_EVALUATIONS = 50
-# Number of times that the simulation is linearised at the mode.
-_LINEARISATIONS = 2
-# Largest number of steps of a climb that simulates.
-_SIMULATED_STEPS = 20
-
 
 @dataclass(frozen=True)
 class Fit:
     """A posterior with its target and what was examined of it.
 
-    One of three: ``Fit`` is the sampled posterior; :class:`bayesfric.fit.result.Result` adds model
-    and summary, and writes a run; :class:`bayesfric.fit.finished_run.Finished` is what later
-    commands need, of either a result or a run directory.
+    :class:`bayesfric.fit.result.Result` adds model and summary.
     """
 
     target: Target  # in the coordinates that were sampled
@@ -85,8 +68,9 @@ class Fit:
         if self.discrepancy is None or not self.discrepancy.moved:
             return self
         rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
-        e, w, steps, d = posterior.draws.shape
-        thinned = slice(None, None, -(-e * w * steps // _WIDENED_DRAWS))
+        d = posterior.draws.shape[-1]
+        # each is evaluated
+        thinned = slice(None, None, -(-posterior.log_density.size // 8000))
         draws = posterior.draws[:, :, thinned]
         moved = self.discrepancy.widened(self.target, draws.reshape(-1, d), rng)
         widened = replace(
@@ -110,7 +94,7 @@ class Fit:
     def predicting(self) -> Array:
         """Draws ``(n, d)`` for predictions: 200, fewer for long recordings."""
         outputs = sum(o.measured.size for o in self.target.likelihood.outputs)
-        return self.posterior.flat(max(10, min(200, _PREDICTED_OUTPUTS // outputs)))
+        return self.posterior.flat(max(10, min(200, 2_000_000 // outputs)))
 
     @cached_property
     def residuals(self) -> list[Array]:
@@ -197,7 +181,6 @@ def fit(
         estimates = (least_squares(likelihood.chain, likelihood.observations),)
     progress(Progress("searching the mode"))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
-    # simulating estimates may be cut off by the clock and must not influence the posterior
     simulating = {"output-error"} - {likelihood.method}
     starting_estimates = [e for e in estimates if e.method not in simulating]
     points = _starting_points(target, starting_estimates)
@@ -213,13 +196,12 @@ def fit(
         best = gauss_newton(target, candidates[0], prior_places)
         target = _precomputed(target, best, rng)
         if likelihood.method == "input-error":
-            search = _Search(target, prior_places, rng)
-            widths = 1.0 / np.sqrt(np.diag(np.linalg.inv(best.covariance)))
-            mode = climb(
-                search, candidates, climbs=climbs, widths=widths, on_step=search.precompute_again
-            )
-        else:
-            target, mode = _simulated_mode(target, candidates)
+            mode = _searched_mode(target, candidates, best, prior_places, rng)
+        else:  # few simulations, linearised again at the mode
+            mode = climb(target, candidates, climbs=1, max_steps=20)
+            for _ in range(2):
+                target = target.relinearised_at(target.to_parameters(mode[None])[0][0])
+                mode = climb(target, mode[None], climbs=1, max_steps=20)
     except ValueError:
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
@@ -227,9 +209,8 @@ def fit(
     # Once the posterior's widths are known, the sampler's coordinates can be used.
     normal = gauss_newton(target, mode, prior_places)
     place, widths = _place_and_widths(target, normal)
-    shaped = target.with_circular_cut_at(dict(zip(target.free, place, strict=False))).with_widths(
-        widths
-    )
+    shaped = target.with_circular_cut_at(dict(zip(target.free, place, strict=False)))
+    shaped = shaped.with_widths(widths)
     prior_draws = _unwrapped(shaped, prior_draws)
     start = gauss_newton(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
@@ -244,54 +225,47 @@ def fit(
     return Fit(shaped, posterior, tuple(estimates), linearisation=change)
 
 
-class _Search:
-    """Log density that is precomputed again when the search leaves its region.
+def _searched_mode(
+    target: Target, candidates: Array, best: Start, prior_places: Array, rng: np.random.Generator
+) -> Array:
+    """Climb from candidates ``(n, d)``, precomputing again where the search leaves its region.
 
     With a million samples a slow evaluation costs ten thousand times a fast one.
     """
+    fast, slow = target, target.likelihood.slow_evaluations
 
-    def __init__(self, target: Target, prior_places: Array, rng: np.random.Generator) -> None:
-        self.target, self._prior_places, self._rng = target, prior_places, rng
-        self._slow = target.likelihood.slow_evaluations
+    def precompute_again(place: Array) -> None:
+        nonlocal fast, slow
+        before, slow = slow, fast.likelihood.slow_evaluations
+        if slow - before > 50:  # the last step was mostly slow
+            fast = _precomputed(fast, gauss_newton(fast, place, prior_places), rng)
+            slow = fast.likelihood.slow_evaluations
 
-    def __call__(self, u: Array) -> Array:
-        return self.target(u)
-
-    def precompute_again(self, place: Array) -> None:
-        """Precompute at coordinates ``(d,)`` if the last step was mostly slow."""
-        before, self._slow = self._slow, self.target.likelihood.slow_evaluations
-        if self._slow - before > _SLOW_EVALUATIONS:
-            start = gauss_newton(self.target, place, self._prior_places)
-            self.target = _precomputed(self.target, start, self._rng)
-            self._slow = self.target.likelihood.slow_evaluations
-
-
-def _simulated_mode(target: Target, candidates: Array) -> tuple[Target, Array]:
-    """Climb with few simulations, and linearise again at the mode."""
-    mode = climb(target, candidates, climbs=1, max_steps=_SIMULATED_STEPS)
-    for _ in range(_LINEARISATIONS):
-        target = target.relinearised_at(target.to_parameters(mode[None])[0][0])
-        mode = climb(target, mode[None], climbs=1, max_steps=_SIMULATED_STEPS)
-    return target, mode
+    widths = 1.0 / np.sqrt(np.diag(np.linalg.inv(best.covariance)))
+    return climb(
+        lambda u: fast(u),
+        candidates,
+        climbs=len(candidates),
+        widths=widths,
+        on_step=precompute_again,
+    )
 
 
 def _precomputed(target: Target, start: Start, rng: np.random.Generator) -> Target:
     """Precompute a target near a normal; draws decide the speed, not the value."""
     root = np.linalg.cholesky(start.covariance)
-    return target.precomputed(
-        start.mode + rng.standard_normal((_PRECOMPUTE_DRAWS, start.mode.size)) @ root.T
-    )
+    return target.precomputed(start.mode + rng.standard_normal((300, start.mode.size)) @ root.T)
 
 
 def _place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:
     """Convert a normal in coordinates to parameters: centre and standard deviations, ``(d,)``."""
     spread = np.sqrt(np.diag(start.covariance))
-    sds = np.minimum(spread, 1.0 + np.abs(start.mode))
-    centre, _ = target.to_parameters(start.mode[None])
-    shifted, _ = target.to_parameters(start.mode + np.concatenate([np.diag(sds), -np.diag(sds)]))
-    d = start.mode.size
+    sds = np.diag(np.minimum(spread, 1.0 + np.abs(start.mode)))
+    centre, up, down = (
+        target.to_parameters(u)[0] for u in (start.mode[None], start.mode + sds, start.mode - sds)
+    )
     # a gearbox' coordinates mix parameters
-    change = (shifted[:d] - shifted[d:]) / 2.0
+    change = (up - down) / 2.0
     correlation = start.covariance / np.outer(spread, spread)
     widths = np.sqrt(np.einsum("ij,ik,kj->j", change, correlation, change).clip(0.0))
     widths = np.where(np.isfinite(widths), widths, np.abs(centre[0]))
@@ -346,11 +320,13 @@ def _candidates(
         # prior draws leave a residual about as large as the torque
         measured = np.concatenate([o.measured for o in likelihood.outputs])
         unexplained = float(np.sqrt(np.mean(measured**2)))
+        assert isinstance(likelihood, TorqueLikelihood)
+        columns = [likelihood.noise.quantities.index(kind) for kind in target.noise.quantities]
         candidates = np.concatenate(
             [
                 np.column_stack([block, np.tile(scales, (len(block), 1))])
                 for block, size in ((rows, rms), (prior_draws[:100, :k], unexplained))
-                for scales in _noise_starts(target, size)
+                for scales in likelihood.noise.starts(size)[:, columns]
             ]
         )
     else:
@@ -360,14 +336,6 @@ def _candidates(
         )
     candidates[:, k:] = np.clip(candidates[:, k:], *inner[:, k:])
     return target.from_parameters(candidates)
-
-
-def _noise_starts(target: Target, size: float) -> Array:
-    """Noise scales ``(m, scales)`` for residuals of a size, the same for all recordings."""
-    likelihood = target.likelihood
-    assert isinstance(likelihood, TorqueLikelihood)
-    columns = [likelihood.noise.quantities.index(kind) for kind in target.noise.quantities]
-    return np.asarray(likelihood.noise.starts(size)[:, columns])
 
 
 def _noise_grid(target: Target, inner: Array) -> Array:

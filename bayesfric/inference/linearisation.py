@@ -19,11 +19,8 @@ from bayesfric.recordings.arrays import Array
 # all parameters of all but one, whether the joint stuck for 0 or 38 % of the time; above, errors
 # were up to 90.
 _MAX_CHANGE = 2.0
-# Linearisation points, draws among which they are selected, and the tail probability of a normal
-# beyond which a draw is excluded.
-_POINTS, _DRAWS, _IMPROBABLE = 12, 100, 1e-3
-# Least share of the expected spread.
-_LEAST_SPREAD = 1e-3
+# Linearisation points.
+_POINTS = 12
 
 
 def linearisation_change(target: Target, start: Start, rng: np.random.Generator) -> float:
@@ -58,13 +55,13 @@ def _plausible_parameters(target: Target, start: Start, rng: np.random.Generator
     """
     d = start.mode.size
     root = np.linalg.cholesky(start.covariance)
-    fall = stats.chi2.isf(_IMPROBABLE, d) / 2.0
+    fall = stats.chi2.isf(1e-3, d) / 2.0
     spread = 1.0
     while True:
-        u = start.mode + spread * rng.standard_normal((_DRAWS, d)) @ root.T
+        u = start.mode + spread * rng.standard_normal((100, d)) @ root.T
         density = target(u)
         probable = u[density > max(density.max(), target(start.mode[None])[0]) - fall]
-        if len(probable) >= _POINTS or spread < _LEAST_SPREAD:
+        if len(probable) >= _POINTS or spread < 1e-3:
             places = probable[:_POINTS] if len(probable) > 1 else u[:_POINTS]
             return np.asarray(target.to_parameters(places)[0])
         # bounds and curvature make a posterior narrower than its normal

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.priors import Prior
 from bayesfric.recordings.arrays import Array
 
 # Independent draws from which ends of a 90 % interval are right to a tenth of a standard deviation.

@@ -19,10 +19,8 @@ from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.held_out import HeldOut
 
-# Draws of the posterior, and numbers in memory at once.
-_DRAWS = 400
-_BUDGET = 20_000_000
-_BLOCK = 1_000_000
+# Numbers of predicted torque, and of probabilities, in memory at once.
+_BUDGET, _BLOCK = 20_000_000, 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +84,7 @@ def predict_held_out(
     predictions = []
     for part in held_out:
         outputs = part.observation.measured.size
-        draws = posterior.flat(min(_DRAWS, max(50, _BUDGET // outputs)))
+        draws = posterior.flat(min(400, max(50, _BUDGET // outputs)))
         n = len(draws)
         values = target.chain_values(draws)
         scales = target.noise.scales(draws[:, len(target.free) :])

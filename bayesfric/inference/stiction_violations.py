@@ -9,15 +9,10 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.static_friction import StaticFriction
+from bayesfric.inference.likelihood.torque_likelihood import StaticFriction
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.source import Processing
-
-# Draws that are evaluated, and the quantile that must contradict.
-_DRAWS, _QUANTILE = 200, 0.05
-# Excess of the torque over the residuals' rms; share of standstill outputs, and their number.
-_LEAST_RMS, _SHARE, _LEAST = 3.0, 0.1, 3
 
 
 @dataclass(frozen=True)
@@ -46,7 +41,7 @@ def stiction_violations(
     if processing.rest or fit.target.likelihood.method != "input-error":
         return
     chain = fit.chain
-    values = fit.wide.target.chain_values(fit.wide.posterior.flat(_DRAWS))
+    values = fit.wide.target.chain_values(fit.wide.posterior.flat(200))
     triples = zip(recordings, fit.observations, fit.residuals, strict=True)
     for recording, fitted, residual in triples:
         try:
@@ -58,10 +53,8 @@ def stiction_violations(
         low, high = StaticFriction(chain, at_rest.rest, fitted.inputs).limits(values)
         torque = at_rest.rest.torque
         excess = np.maximum(np.maximum(low - torque, torque - high), 0.0)
-        violated = np.quantile(excess, _QUANTILE, axis=0) > _LEAST_RMS * np.sqrt(
-            np.mean(residual**2)
-        )
-        if violated.sum() >= _LEAST and violated.mean() >= _SHARE:
+        violated = np.quantile(excess, 0.05, axis=0) > 3.0 * np.sqrt(np.mean(residual**2))
+        if violated.sum() >= 3 and violated.mean() >= 0.1:
             stamps = at_rest.rest.stamps[violated]
             span = float(stamps.min()), float(stamps.max())
             # friction is the distance from the limits' middle

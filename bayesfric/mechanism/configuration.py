@@ -10,21 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    Field,
-    ValidationInfo,
-    create_model,
-    field_validator,
-)
+from pydantic import AfterValidator, Field, ValidationInfo, create_model, field_validator
 
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.base.options import Options
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import (
     CHOICES,
     CYCLES,
@@ -44,13 +36,13 @@ Cycles = Annotated[int, Field(strict=True, ge=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class _Options(Options):
+class _Settings(Options):
     def settings(self) -> dict[str, Any]:
         """Keys that the configuration sets; the preset's values count for the others."""
         return self.model_dump(exclude_unset=True)
 
 
-class _Element(_Options):
+class _Element(_Settings):
     """One element; what is left out keeps the preset's choice."""
 
     ratio: Positive = Field(1.0, description="input speed over output speed")
@@ -58,7 +50,7 @@ class _Element(_Options):
     subscript: str = Field("", description="LaTeX subscript of the symbols")
 
 
-class _Load(_Options):
+class _Load(_Settings):
     """The load; what is left out keeps the preset's choice."""
 
     gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
@@ -79,10 +71,12 @@ def _fields(options: Mapping[str, Mapping[str | bool, str]]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for option, choices in options.items():
         words = tuple(choice for choice in choices if isinstance(choice, str))
-        kind: Any = bool | Literal[words] if words else bool
+        kind: Any = Literal[words] if words else bool
+        default: bool | str = False
         if True not in choices:
-            kind = Literal[("none", *words)]
-        default = False if True in choices else "none"
+            kind, default = Literal[("none", *words)], "none"
+        elif words:
+            kind = bool | Literal[words]
         fields[option] = (kind, Field(default, description=OPTION_MEANINGS[option]))
     for option in CYCLES:
         field = Field((), description=OPTION_MEANINGS[option], examples=[(1, 7, 42)])
@@ -103,7 +97,7 @@ else:  # the options are those of the table of quantities
     LoadOptions = create_model("LoadOptions", __base__=_Load, **_fields(LOAD_CHOICES))
 
 
-class MechanismOptions(_Options):
+class MechanismOptions(_Settings):
     """A preset with changes, or elements from motor to load."""
 
     preset: str | None = Field(
@@ -157,19 +151,18 @@ class MechanismOptions(_Options):
 
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
         """Build the joint."""
-        if missing := [
-            name for name in self.named_terms if name not in {term.name for term in terms}
-        ]:
+        known = {term.name for term in terms}
+        if missing := [name for name in self.named_terms if name not in known]:
             raise BadInput(
                 "mechanism.terms",
                 f"{missing[0]} is a custom term, a function that no file holds",
                 "fit it in Python: bayesfric.Model.from_config(path, terms=[bayesfric.Term(...)])",
             )
-        base, elements = self._elements()
-        load = replace(base.load, **self.load.settings())
-        if self.motion is not None:
-            elements = [replace(element, motion=self.motion) for element in elements]
-            load = replace(load, motion=self.motion)
+        base = self._base()
+        moves = {} if self.motion is None else {"motion": self.motion}
+        load = replace(base.load, **self.load.settings() | moves)
+        changes = {name: options.settings() for name, options in self.elements.items()}
+        elements = [replace(e, **changes.get(e.name, {}) | moves) for e in base.elements]
         for element in elements:
             of_load = [option for option in element.choices if option.startswith("load_")]
             if of_load and "load_loss" not in of_load:
@@ -187,41 +180,36 @@ class MechanismOptions(_Options):
                 "set first_moment = false; a constant weight is what offset = true is for",
             )
         try:
-            return Joint(
+            return replace(
+                base,
                 elements=tuple(elements),
                 load=load,
                 offset=base.offset if self.offset is None else bool(self.offset),
-                gain=base.gain if self.gain is None else self.gain,
-                delay=base.delay if self.delay is None else self.delay,
-                made_from=self.preset or "",
+                gain=bool(self.gain),
+                delay=self.delay,
                 terms=tuple(terms),
             )
         except ValueError as error:
             raise BadInput("mechanism.elements", str(error), "rename the element") from None
 
-    def _elements(self) -> tuple[Chain, list[Element]]:
-        """Return the preset, or an empty one, and its elements with their changes."""
+    def _base(self) -> Joint:
+        """Return the preset, or a joint of the bare elements."""
+        key, names = "mechanism", list(self.elements)
         if self.preset is None:
-            elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
-            if not elements:
-                raise BadInput(
-                    "mechanism", "describes no joint", f"set preset to one of {', '.join(PRESETS)}"
-                )
-            return Chain((Element("motor"),)), elements
+            if not names:
+                hint = f"set preset to one of {', '.join(PRESETS)}"
+                raise BadInput(key, "describes no joint", hint)
+            try:
+                return Joint([Element(name) for name in names])
+            except ValueError as error:
+                raise BadInput(f"{key}.elements", str(error), "rename the element") from None
         if self.preset not in PRESETS:
-            raise BadInput(
-                "mechanism.preset",
-                f"there is no preset {self.preset!r}",
-                nearest(self.preset, PRESETS),
-            )
+            problem = f"there is no preset {self.preset!r}"
+            raise BadInput(f"{key}.preset", problem, nearest(self.preset, PRESETS))
         base = PRESETS[self.preset].chain()
-        changes = {name: options.settings() for name, options in self.elements.items()}
-        names = [element.name for element in base.elements]
-        for name in changes:
-            if name not in names:
-                raise BadInput(
-                    f"mechanism.elements.{name}",
-                    f"{self.preset} has no such element",
-                    nearest(name, names),
-                )
-        return base, [replace(e, **changes.get(e.name, {})) for e in base.elements]
+        known = [element.name for element in base.elements]
+        for name in names:
+            if name not in known:
+                problem = f"{self.preset} has no such element"
+                raise BadInput(f"{key}.elements.{name}", problem, nearest(name, known))
+        return base

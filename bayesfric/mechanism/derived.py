@@ -7,28 +7,22 @@ do not identify the parameters behind them.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element
-from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
-from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import (
+    QUANTITIES,
+    TOTALS,
+    Parameter,
+    effort_words,
+    parameter,
+)
 from bayesfric.recordings.arrays import Array
-
-# Gravity at the motor. Where an angle turns it, least squares has a sine and a cosine part, and
-# the first has the name of the whole.
-_UNITS = TOTALS["gravity"].units
-_WEIGHT = Quantity("gravity", _UNITS, "G_{{{}}}", "gravity torque", lower=-math.inf)
-_WEIGHT_TURNED = Quantity("gravity_size", _UNITS, "G_{{{}}}", "size of the gravity torque")
-# Options of load-dependent friction whose mean over directions is the same at every speed and load.
-_STEADY = ("load_loss", "load_direction")
-# Constant losses that an efficiency counts, and the share of each in the mean of both directions.
-_CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +71,7 @@ def efficiencies(
     return drive, np.where(back >= 0.0, back, np.nan)
 
 
-def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ...]:
+def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ...]:
     """Derive everything the chain allows from parameter vectors.
 
     Parameters
@@ -116,19 +110,22 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
     return (*_totals(chain, at, values.shape[0]), *coefficients)
 
 
-def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
+def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what is seen at the motor, Theta1 +- Theta2 of eq. (13)."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
-    if any(o.startswith("load_") and o not in _STEADY for e in lossy for o in e.choices):
-        return  # the torque of a term at the motor then depends on all the others
-    owners: dict[str, set[str]] = {}
+    # where a loss depends on speed or load, the torque of a term at the motor depends on all others
+    steady = ("load_loss", "load_direction")
+    if any(o.startswith("load_") and o not in steady for e in lossy for o in e.choices):
+        return
+    terms: dict[str, list[Parameter]] = {}
     for p in chain.parameters:
         for kind in _kinds(chain, p):
-            owners.setdefault(kind, set()).add(p.owner)
-    # a total of the motor's shaft alone is that parameter
-    kinds = [kind for kind, names in owners.items() if names != {chain.elements[0].name}]
+            terms.setdefault(kind, []).append(p)
+    # gravity that an angle turns has a size; least squares calls its sine part by the whole's name
     turned = any(p.circular for p in chain.parameters)
-    weight = _WEIGHT_TURNED if turned else _WEIGHT
+    weight = replace(TOTALS["gravity"], symbol="G_{{{}}}", meaning="gravity torque")
+    if turned:
+        weight = replace(weight, name="gravity_size", meaning="size of the gravity torque")
     pull = abs(chain.load.gravity) if turned else chain.load.gravity
     for side, label in (("drive", "driving"), ("back", "back-driven"))[: 2 if lossy else 1]:
         # torque at an owner's input times this is torque at the motor; an element's own terms
@@ -140,28 +137,28 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
             drive, back = _losses(element, at)
             through = through * (1.0 + drive if side == "drive" else 1.0 - back) / element.ratio
         reach["load"] = through
-        for kind in kinds:
+        mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
+        at_motor = ", all seen by the motor" + (f", {label}" if lossy else "")
+        for kind, parts in terms.items():
+            if {p.owner for p in parts} == {chain.elements[0].name}:
+                continue  # a total of the motor's shaft alone is that parameter
             total: Array = np.zeros(n)
-            for p in chain.parameters:
-                if kind in _kinds(chain, p):
-                    assert p.row.power is not None
-                    speed = chain.reaches[p.owner] / chain.ratio
-                    total = total + at[p.name] * reach[p.owner] * speed**p.row.power
-            before = f"total_{side}" if lossy else "total"
-            mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
-            at_motor = ", all seen by the motor" + (f", {label}" if lossy else "")
-            total_row = parameter("total", QUANTITIES.get(kind, weight), chain.motor_motion, "t")
+            for p in parts:
+                assert p.row.power is not None
+                speed = chain.reaches[p.owner] / chain.ratio
+                total = total + at[p.name] * reach[p.owner] * speed**p.row.power
+            row = parameter("total", QUANTITIES.get(kind, weight), chain.motor_motion, "t")
             yield Derived(
-                f"{before}.{total_row.quantity}",
-                total_row.unit,
-                total_row.symbol + mark,
-                total_row.meaning + at_motor,
+                f"total_{side}.{row.quantity}" if lossy else row.name,
+                row.unit,
+                row.symbol + mark,
+                row.meaning + at_motor,
                 total * pull if kind == "gravity" else total,
                 gauge_free=True,
             )
 
 
-def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
+def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
     """Name the totals that a parameter adds to; most have one, some none."""
     # Load-dependent friction is in the factors, a low-speed rise vanishes at speed, and a term with
     # a separate shape adds to no other.
@@ -184,14 +181,12 @@ def _losses(element: Element, at: dict[str, Array]) -> tuple[Array | float, Arra
 
 
 def _of_loss(
-    chain: Chain, element: Element, at: dict[str, Array], load_torque: float
+    chain: Joint, element: Element, at: dict[str, Array], load_torque: float
 ) -> Iterator[Derived]:
     """Derive alphas, lambdas and efficiencies of one element, eqs. (4), (6) and (13)."""
     name, two = element.name, element.load_loss == "two"
 
-    def row(
-        quantity: str, symbol: str, meaning: str, values: Array, *, gauge_free: bool = False
-    ) -> Derived:
+    def row(quantity: str, symbol: str, meaning: str, values: Array, gauge_free: bool) -> Derived:
         return Derived(f"{name}.{quantity}", "", symbol, meaning, values, gauge_free)
 
     mu_drive, mu_back = map(np.asarray, _losses(element, at))
@@ -206,36 +201,37 @@ def _of_loss(
         ("back", r"\alpha_2", f"load drives, 1/(1 - mu{'_2' * two})", 1.0 / back),
     ):
         meaning = effort_words(f"{passed} {condition}", element.motion)
-        yield row(f"alpha_{side}", symbol, meaning, alpha, gauge_free=not two)
+        yield row(f"alpha_{side}", symbol, meaning, alpha, not two)
     if two:
-        # lambda_1 and lambda_2 of eq. (13)
-        lambda_1 = (2.0 + mu_drive - mu_back) / 2.0
-        lambda_2 = (mu_drive + mu_back) / 2.0
-        # a gearbox that loses nothing has none
+        # lambda_1 and lambda_2 of eq. (13); a gearbox that loses nothing has no ratio of them
+        lambda_1, lambda_2 = (2.0 + mu_drive - mu_back) / 2.0, (mu_drive + mu_back) / 2.0
         ratio = lambda_1 / np.where(lambda_2 != 0.0, lambda_2, np.nan)
         meaning = "mean of 1/alpha over half their difference, theta5/theta10 of eq. (13)"
-        yield row("lambda_1", r"\lambda_1", "mean of 1/alpha", lambda_1)
-        yield row("lambda_2", r"\lambda_2", "half the difference of 1/alpha", lambda_2)
-        yield row("lambda_ratio", r"\lambda_1/\lambda_2", meaning, ratio, gauge_free=True)
+        yield row("lambda_1", r"\lambda_1", "mean of 1/alpha", lambda_1, False)
+        yield row("lambda_2", r"\lambda_2", "half the difference of 1/alpha", lambda_2, False)
+        yield row("lambda_ratio", r"\lambda_1/\lambda_2", meaning, ratio, True)
     if load_torque > 0.0:
         # of the torque at its input, as the loss itself
         grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
         place = chain.elements.index(element)
         before, behind = chain.elements[:place], chain.elements[place:]
         # Fr of eq. (4), at the joint; section 4.4 takes the bearing's, behind the gearbox, for it
+        weights = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
         constant = sum(
             weight * at[f"{e.name}.{key}"] * chain.reaches[e.name]
             for e in behind
-            for key, weight in _CONSTANT.items()
+            for key, weight in weights.items()
             if f"{e.name}.{key}" in at
         )
         drive, driven = efficiencies(mu_drive + grown, mu_back + grown, constant, load_torque)
-        lossy = any(e.has(*_CONSTANT) for e in behind[1:])
+        lossy = any(e.has(*weights) for e in behind[1:])
         counted = f"{name} {'with the constant loss behind it' if lossy else 'alone'}"
         at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
         load = f"{at_load} of load{' and' * bool(slow)}{slow}"
         names = ", ".join(e.name for e in before)
         outside = f" and all in front of it ({names})" if names else ""
         meaning = f"{counted}, eq. (4), {load}, viscous loss{outside} not counted"
-        yield row("efficiency_drive", r"\eta_m", f"driving efficiency of {meaning}", drive)
-        yield row("efficiency_back", r"\eta_r", f"back-driving efficiency of {meaning}", driven)
+        yield row("efficiency_drive", r"\eta_m", f"driving efficiency of {meaning}", drive, False)
+        yield row(
+            "efficiency_back", r"\eta_r", f"back-driving efficiency of {meaning}", driven, False
+        )

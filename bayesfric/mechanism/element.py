@@ -25,29 +25,20 @@ from bayesfric.mechanism.quantities import (
 STANDARD_GRAVITY = 9.80665  # m/s²
 
 
-def _once(state: State) -> Any:
-    """Return a unit torque, that a signal is multiplied by."""
-    return 1.0 + 0.0 * state.speed
-
-
 def _by_signal(name: str) -> tuple[Quantity]:
     """Describe a torque by a further column of the recording, known up to its coefficient."""
     label = name.replace("_", r"\_")
     row = Quantity(
-        name,
-        QUANTITIES["offset"].units,
-        rf"k_{{{{\mathrm{{{{{label}}}}}}}}}",
+        name, QUANTITIES["offset"].units, rf"k_{{{{\mathrm{{{{{label}}}}}}}}}",
         f"torque by the column {name}, for a value of one there",
-        option="signals",
-        choice=name,
-        column=_once,
-        signal=name,
-        slots=(),
-        lower=-math.inf,
-        stores=True,
-        measurand="constant",
-    )
+        option="signals", choice=name, column=_unit_torque, signal=name, slots=(),
+        lower=-math.inf, stores=True, measurand="constant",
+    )  # fmt: skip
     return (row,)
+
+
+def _unit_torque(state: State) -> Any:
+    return 1.0 + 0.0 * state.speed
 
 
 # Options that list something, and the quantities that each entry brings.
@@ -191,27 +182,28 @@ def _brought(
     options: Mapping[str, Mapping[str | bool, str]], choices: Mapping[str, Any]
 ) -> tuple[Quantity, ...]:
     """Rows that choices bring: those of the table, and behind them those of cycles."""
-    repeated: list[Quantity] = []
+    listed: list[Quantity] = []
     for option, choice in choices.items():
         if option in LISTED:
-            repeated += [q for entry in choice for q in LISTED[option](_listed(option, entry))]
+            for entry in choice:
+                _refuse(option, entry)
+                listed += LISTED[option](entry)
         elif option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
         elif choice not in (*options[option], False, "none"):
             known = ", ".join(map(repr, options[option]))
-            raise ValueError(f"{option} = {choice!r} is no choice; there is {known}")
+            raise ValueError(f"{option} = {choice!r} is not a choice; there is {known}")
     rows = (q for q in QUANTITIES.values() if q.option in choices)
     chosen = (q for q in rows if q.brought_by(choices[q.option]))
-    return tuple(dict.fromkeys((*chosen, *repeated)))
+    return tuple(dict.fromkeys((*chosen, *listed)))
 
 
-def _listed(option: str, entry: Any) -> int | str:
-    """Check one entry of an option that lists column names or numbers of cycles."""
-    if option not in CYCLES:
-        if not (isinstance(entry, str) and entry.isidentifier() and entry not in QUANTITIES):
-            problem = "is no name of a column that a parameter can have"
-            raise ValueError(f"{option} = {entry!r} {problem}; write letters, digits and _")
-        return entry
-    if isinstance(entry, bool) or not isinstance(entry, int) or entry < 1:
-        raise ValueError(f"{option} = {entry!r} is no number of cycles a turn; write 1, 2, ...")
-    return entry
+def _refuse(option: str, entry: Any) -> None:
+    """Refuse a bad entry of an option that lists column names or numbers of cycles."""
+    if option in CYCLES:
+        if isinstance(entry, bool) or not isinstance(entry, int) or entry < 1:
+            problem = "is not a number of cycles a turn; write 1, 2, ..."
+            raise ValueError(f"{option} = {entry!r} {problem}")
+    elif not (isinstance(entry, str) and entry.isidentifier() and entry not in QUANTITIES):
+        problem = "is not a name of a column that a parameter can have"
+        raise ValueError(f"{option} = {entry!r} {problem}; write letters, digits and _")

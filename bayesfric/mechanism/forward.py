@@ -1,32 +1,33 @@
-"""Forward model: the motion under a motor torque, with true stiction.
+"""Forward model: the motion under a motor torque, with true stiction, or under a drive's law.
 
-While the joint keeps its direction and no element's transmitted torque changes
-sign, the equation of motion is smooth and classical Runge-Kutta steps integrate
-it. Reversals, breakaway and sign changes of a transmitted torque are located to
-rounding and the integration restarted there, so nothing non-smooth is ever
-integrated across and the error falls with the fourth power of the step.
+While the joint keeps its direction and no element's transmitted torque changes sign, the equation
+of motion is smooth and classical Runge-Kutta steps integrate it. Reversals, breakaway and sign
+changes of a transmitted torque are located to rounding and the integration restarted there, so
+nothing non-smooth is ever integrated across and the error falls with the fourth power of the step.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numba import njit, prange
+from numpy.typing import ArrayLike
 
-from bayesfric.mechanism.chain import Chain, Tables
-from bayesfric.mechanism.dynamics import CarriedValues, Moved, moved
 from bayesfric.mechanism.integrate import (
     ACCELERATION,
     POSITION,
-    RUNAWAY,
     SPEED,
     STICKS,
+    Carried,
+    ForwardTables,
     integrate,
     integrate_segments,
+    plant_of,
 )
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
@@ -40,13 +41,9 @@ from bayesfric.mechanism.kernels import (
     STRIBECK_VELOCITY,
 )
 from bayesfric.mechanism.own_term import signal_of
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.measurement import Hold, Inputs
-
-# Linear pieces of a cubic torque, a sample.
-_FINER = 4
-_MAX_SUBSTEPS = 64
+from bayesfric.recordings.measurement import Hold, Inputs, Law
 
 
 class RunsAway(ValueError):
@@ -62,16 +59,15 @@ class Motion:
     qd: Array  # (N,)
     qdd: Array  # (N,) right after the sample
     torque: Array  # (N,) measured motor torque, N m or N
-    sticking: NDArray[np.bool_]  # (N,) where static friction holds the joint
+    sticking: Flags  # (N,) where static friction holds the joint
     events: int  # located stops, breakaways and sign changes of transmitted torques
     reversals: int  # number of times that the joint moved off in the other direction
     step_error: float  # estimated largest error of q, rad or m; NaN for given substeps
     substeps: int  # integration steps per sample
-    unresolved: int = 0  # steps with too many events to locate; only if far too coarse
 
 
 def simulate(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -86,40 +82,35 @@ def simulate(
 ) -> Motion:
     """Simulate the joint under a measured motor torque ``(N,)``, N m or N.
 
-    Substeps are doubled until ``q`` changes by less than ``tolerance``. The joint sticks while the
-    torque lies within its breakaway torques; no friction law is smoothed. Raises ValueError where
-    the acceleration is not unique, and :class:`RunsAway`.
+    Substeps are doubled until ``q`` changes by less than ``tolerance``, or to 64 a sample. The
+    joint sticks while the torque lies within its breakaway torques; no friction law is smoothed.
+    Raises ValueError where the acceleration is not unique, and :class:`RunsAway`.
     """
-    measured = _torque(torque, period, hold, substeps)
-    if not (math.isfinite(q0) and math.isfinite(qd0)):
-        raise ValueError("q0 and qd0 must be finite numbers")
+    measured = np.array(torque, dtype=np.float64)
+    if not (np.isfinite([q0, qd0]).all() and np.isfinite(measured).all()):
+        raise ValueError("torque, q0 and qd0 must be finite")
     vector = np.asarray(values, dtype=np.float64)
-    joint = _joint(chain, vector, inputs)
-    samples = _delayed_torque(chain, vector[np.newaxis], measured, period)[0]
-    finer = _FINER if hold == "cubic" else 1
-    fine = _interpolated(samples[np.newaxis], finer)[0]
+    tables, carried = _tables(chain, vector[np.newaxis], inputs)
+    for reason, flags in _impossible(chain, vector[np.newaxis], tables).items():
+        if flags[0]:
+            raise ValueError(reason)
+    plant = plant_of(tables, carried, 0)
+    fine, finer = _fine(chain, vector[np.newaxis], measured, period, hold)
 
     def run(each: int) -> Motion:
         """Integrate in ``each`` steps a piece; the error is not known."""
-        out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
+        out, counts = np.empty((4, fine.shape[1])), np.zeros(2, dtype=np.int64)
         step, start = float(period) / finer, (float(q0), float(qd0))
-        done = integrate(joint, fine, step, float(begin), hold != "zero", *start, each, out, counts)
-        if done < fine.size:
-            at = f"{RUNAWAY:g} rad or m after {done * period / finer:g} s"
-            raise RunsAway(f"the joint runs away: beyond {at}")
-        out = out[:, ::finer]
+        linear = hold != "zero"
+        done = integrate(plant, fine[0], step, float(begin), linear, *start, each, out, counts)
+        if done < fine.shape[1]:
+            at = f"beyond 1e+06 rad or m after {done * period / finer:g} s"
+            raise RunsAway(f"the joint runs away: {at}")
+        q, qd, qdd, sticks = out[[POSITION, SPEED, ACCELERATION, STICKS], ::finer]
+        time = np.arange(measured.size, dtype=np.float64) * float(period)
+        events, reversals = counts.tolist()
         return Motion(
-            time=np.arange(measured.size, dtype=np.float64) * float(period),
-            q=out[POSITION],
-            qd=out[SPEED],
-            qdd=out[ACCELERATION],
-            torque=measured,
-            sticking=out[STICKS] == 1.0,
-            events=int(counts[0]),
-            reversals=int(counts[1]),
-            step_error=math.nan,
-            substeps=each * finer,
-            unresolved=int(counts[2]),
+            time, q, qd, qdd, measured, sticks == 1.0, events, reversals, math.nan, each * finer
         )
 
     if substeps is not None:
@@ -128,41 +119,13 @@ def simulate(
     while True:
         coarse, motion = motion, run(2 * motion.substeps // finer)
         change = float(np.max(np.abs(motion.q - coarse.q)))
-        if change < tolerance or motion.substeps >= _MAX_SUBSTEPS:
+        if change < tolerance or motion.substeps >= 64:
             # of fourth order: half the step leaves a sixteenth of the error
             return replace(motion, step_error=change / 15.0)
 
 
-def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
-    """Prepare a joint for simulation; refuse values without a unique motion."""
-    if vector.shape != (len(chain.names),):
-        raise ValueError(f"values must have the shape ({len(chain.names)},), not {vector.shape}")
-    outside = [
-        p.name
-        for p, value in zip(chain.parameters, vector, strict=True)
-        if not (np.isfinite(value) and p.lower <= value <= p.upper)
-    ]
-    if outside:
-        raise ValueError(f"not finite or outside its support: {', '.join(outside)}")
-    (elements,), (load,), carried = chain.tables(vector[np.newaxis], inputs)
-    if load[GAIN] == 0.0 or np.any(elements[:, STRIBECK_VELOCITY] == 0.0):
-        raise ValueError("gain and Stribeck velocities must be greater than zero")
-    joint = moved(
-        elements, load, carried_values(chain, carried, inputs), *inputs.load(chain.load.motion)
-    )
-    low, high = _slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
-    if high[0] <= 0.0:
-        raise ValueError("the chain has no inertia, so a torque does not determine its motion")
-    if low[0] <= 0.0:
-        raise ValueError(
-            "irreversible gearbox: its loss when the load drives is so large, against the inertia "
-            "on the motor side, that one torque allows more than one motion"
-        )
-    return joint
-
-
 def simulate_segments(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -180,28 +143,18 @@ def simulate_segments(
     Returns positions and speeds ``(n, N)``, NaN where a vector has no motion, or runs away.
     """
     vectors = np.asarray(values, dtype=np.float64)
-    if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
-        raise ValueError(f"values must have the shape (n, {len(chain.names)})")
-    samples = _torque(torque, period, hold, substeps)
     ranges = np.asarray(segments, dtype=np.int64)
-    if ranges.ndim != 2 or ranges.shape[1] != 2 or np.any(ranges[:, 0] >= ranges[:, 1]):
-        raise ValueError("segments must be (K, 2) ranges that are not empty")
-    if ranges.min() < 0 or ranges.max() > samples.size:
-        raise ValueError("segments must lie within the samples of torque")
     shape = (len(vectors), len(ranges))
     start, speed = (
         np.ascontiguousarray(np.broadcast_to(np.asarray(x, np.float64), shape)) for x in (q0, qd0)
     )
-    if not all(np.all(np.isfinite(x)) for x in (vectors, start, speed)):
-        raise ValueError("values, q0 and qd0 must be finite")
-    tables = chain.tables(vectors, inputs)
-    finer = _FINER if hold == "cubic" else 1
+    tables, carried = _tables(chain, vectors, inputs)
+    fine, finer = _fine(chain, vectors, np.asarray(torque, dtype=np.float64), period, hold)
     q, qd = integrate_segments(
-        tables.elements,
-        tables.load,
-        carried_values(chain, tables.carried, inputs),
-        inputs.load(chain.load.motion),
-        _interpolated(_delayed_torque(chain, vectors, samples, period), finer),
+        tables,
+        carried,
+        _possible(chain, vectors, tables),
+        fine,
         float(period) / finer,
         float(begin),
         hold != "zero",
@@ -210,17 +163,18 @@ def simulate_segments(
         start,
         speed,
         -(-substeps // finer),
-        possible(chain, vectors, tables, inputs.load(chain.load.motion)[0]),
     )
     return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
-def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues | None:
-    """Prepare the terms without a slot for the forward model; a delay is none of them."""
+def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> tuple[ForwardTables, Carried | None]:
+    """Lay parameter vectors out for the forward model; a delay is no term of it."""
+    elements, load, values = chain.tables(vectors, inputs)
+    tables = ForwardTables(elements, load, *inputs.load(chain.load.motion))
     all_terms = chain.carried_terms(inputs)
     columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
     if not columns:
-        return None
+        return tables, None
     terms = [all_terms[k] for k in columns]
     signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
@@ -230,77 +184,71 @@ def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues
     levels = np.ones((len(terms), stamps.size))
     for k, signal in signals.items():
         levels[k] = signal.at(stamps) - terms[k].row.zero
-    return CarriedValues(
+    carried = Carried(
         np.ascontiguousarray(values[:, columns]),
         np.array([c.place for c in terms], dtype=np.int64),
         np.array([c.address for c in terms], dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
         levels,
     )
+    return tables, carried
 
 
-def _delayed_torque(chain: Chain, vectors: Array, torque: Array, period: float) -> Array:
-    """Torque that acts when the recorded motion shows it: one for all, or each vector's own.
+def _fine(
+    chain: Joint, vectors: Array, torque: Array, period: float, hold: Hold
+) -> tuple[Array, int]:
+    """Give the torque that acts, ``(1, N)`` or each vector's own, in pieces to integrate.
 
-    Gives ``(1, N)`` or ``(n, N)``.
+    It acts when the recorded motion shows it. A cubic is cut into four straight pieces a sample.
     """
-    if not chain.delay or chain.by_target:
-        return torque[np.newaxis]
-    samples = chain.delays(vectors) / period
-    return np.stack([later(torque, delay) for delay in samples.tolist()])
-
-
-def _interpolated(torque: Array, finer: int) -> Array:
-    """Give samples ``(n, N)`` and what a cubic puts between them, ``(n, finer (N - 1) + 1)``."""
-    if finer == 1:
-        return torque
-    out = np.empty((len(torque), finer * (torque.shape[1] - 1) + 1))
-    out[:, ::finer] = torque
-    n = torque.shape[1]
-    for i, row in enumerate(torque):
+    rows = torque[np.newaxis]
+    if chain.delay and not chain.by_target:
+        rows = np.stack([later(torque, s) for s in (chain.delays(vectors) / period).tolist()])
+    if hold != "cubic":
+        return rows, 1
+    finer, n = 4, torque.size
+    out = np.empty((len(rows), finer * (n - 1) + 1))
+    out[:, ::finer] = rows
+    for i, row in enumerate(rows):
         # one sample beyond either end, on the parabola through the last three
         first, last = (3.0 * (x[0] - x[1]) + x[2] if n > 2 else x[0] for x in (row, row[::-1]))
         padded = np.concatenate([[first], row, [last]])
         for k in range(1, finer):
             out[i, k::finer] = later(padded, -k / finer, neighbours=2)[1:-2]
-    return out
+    return out, finer
 
 
-def possible(
-    chain: Chain, vectors: Array, tables: Tables, added_inertia: float
-) -> NDArray[np.bool_]:
-    """Flag the vectors in the support that have one motion for one torque.
+def _impossible(chain: Joint, vectors: Array, tables: ForwardTables) -> dict[str, Flags]:
+    """Flag the vectors that are outside the support, or have no single motion, by reason.
 
     A motion is unique where the motor torque rises with the acceleration for every direction of
     power. It does not where ``mu_2`` is so far above one that the inertia on the motor side does
     not outweigh it. Growth of load-dependent friction with speed or load is left out of this.
     """
-    lower = np.array([p.lower for p in chain.parameters])
-    upper = np.array([p.upper for p in chain.parameters])
-    valid = np.all((vectors >= lower) & (vectors <= upper), axis=1)
-    elements, load = tables.elements, tables.load
-    valid &= (load[:, GAIN] > 0) & np.all(elements[:, :, STRIBECK_VELOCITY] > 0, axis=1)
-    valid &= _slope_bounds(elements, load[:, LOAD_INERTIA] + added_inertia)[0] > 0
-    return np.asarray(valid)
+    reasons = {
+        f"{p.name} is not finite, or outside its support": ~(
+            np.isfinite(x) & (x >= p.lower) & (x <= p.upper)
+        )
+        for p, x in zip(chain.parameters, vectors.T, strict=True)
+    }
+    speeds = tables.elements[:, :, STRIBECK_VELOCITY]
+    low, high = slope_bounds(tables.elements, tables.load[:, LOAD_INERTIA] + tables.added_inertia)
+    return reasons | {
+        "gain and Stribeck velocities must be greater than zero": ~(
+            (tables.load[:, GAIN] > 0) & np.all(speeds > 0, axis=1)
+        ),
+        "the chain has no inertia, so a torque does not determine its motion": ~(high > 0),
+        "irreversible gearbox: its loss when the load drives is so large, against the inertia "
+        "on the motor side, that one torque allows more than one motion": ~(low > 0),
+    }
 
 
-def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -> Array:
-    """Check a torque ``(N,)``, period, hold and number of steps."""
-    samples = np.array(torque, dtype=np.float64)
-    if samples.ndim != 1 or samples.size == 0:
-        raise ValueError("torque must be a one-dimensional array of samples")
-    if not np.all(np.isfinite(samples)):
-        raise ValueError("torque must be finite")
-    if not (math.isfinite(period) and period > 0):
-        raise ValueError("period must be a positive number of seconds")
-    if hold not in get_args(Hold):
-        raise ValueError("hold must be 'zero', 'linear' or 'cubic'")
-    if substeps is not None and substeps < 1:
-        raise ValueError("substeps must be at least 1")
-    return samples
+def _possible(chain: Joint, vectors: Array, tables: ForwardTables) -> Flags:
+    flags: Flags = np.any(list(_impossible(chain, vectors, tables).values()), axis=0)
+    return ~flags
 
 
-def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
+def slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
     """Smallest and largest motor torque per joint acceleration, over all power directions.
 
     At rest and without load: what load-dependent friction grows by is left out.
@@ -320,3 +268,151 @@ def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
         low = corners.min(axis=0) + element[:, INERTIA] * to_input
         high = corners.max(axis=0) + element[:, INERTIA] * to_input
     return low, high
+
+
+# --- a drive whose torque depends on the motion: position control, back-EMF ------------
+
+
+class _Drive(NamedTuple):
+    """A :class:`Law` for the compiled functions, ``(N,)`` arrays.
+
+    ``on (scale clip(command - kp q - kd qd, limit) - back_emf qd) + push``, in units of the
+    measured torque.
+    """
+
+    command: Array
+    scale: Array
+    on: Array  # 1 where the drive gives a torque, else 0
+    push: Array  # (1, N) or (n, N) torque in addition
+    kp: float
+    kd: float
+    limit: float
+    back_emf: float
+    held: bool  # whether a command is held until the next; else linear
+    delays: Array  # (n,) by which the drive acts late on its target, in samples
+
+
+def follow(
+    chain: Joint,
+    values: ArrayLike,
+    law: Law,
+    period: float,
+    segments: ArrayLike,
+    q0: ArrayLike,
+    qd0: ArrayLike,
+    *,
+    push: ArrayLike | None = None,
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
+    held: bool = False,
+    step: float = 2e-3,
+) -> tuple[Array, Array]:
+    """Simulate the joint while a drive follows its command, restarted in every segment ``(K, 2)``.
+
+    Between two closings of the loop the torque is linear; its value at the end, which depends on
+    the motion, is predicted with a constant torque and corrected once (Heun's method).
+    """
+    vectors = np.ascontiguousarray(values, dtype=np.float64)
+    tables, carried = _tables(chain, vectors, inputs)
+    on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
+    rows = np.zeros((1, on.size)) if push is None else push
+    command, scale, on, pushed = (
+        np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on, rows)
+    )
+    kp, kd, limit, back_emf = map(float, (law.kp, law.kd, law.limit, law.back_emf))
+    late = chain.by_target and law.closed
+    delays = chain.delays(vectors) / period if late else np.zeros(len(vectors))
+    drive = _Drive(command, scale, on, pushed, kp, kd, limit, back_emf, held, delays)
+    q, qd = _follow(
+        tables,
+        carried,
+        _possible(chain, vectors, tables),
+        drive,
+        float(period),
+        float(begin),
+        np.asarray(segments, dtype=np.int64),
+        np.asarray(q0, dtype=np.float64),
+        np.asarray(qd0, dtype=np.float64),
+        int(np.ceil(period / step - 1e-9)),
+    )
+    return np.asarray(q), np.asarray(qd)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _between(command: Array, first: int, last: int, place: float) -> float:
+    """Command on a straight line at a place, in samples, of those from ``first`` to ``last``."""
+    place = min(max(place, float(first)), float(last))
+    i = min(int(place), last - 1)
+    return float(command[i] + (place - i) * (command[i + 1] - command[i]))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _standing(command: Array, first: int, place: float, step: float) -> float:
+    """Mean of a held command over a step, both in samples; before the ``first`` it is as there."""
+    begin = max(int(np.floor(place)), first)
+    end = max(int(np.floor(place + step * (1.0 - 1e-9))), first)
+    share = (end - place) / step if end > begin else 0.0
+    return float(share * command[begin] + (1.0 - share) * command[end])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _torque(
+    drive: _Drive, i: int, share: float, command: float, push: float, q: float, qd: float
+) -> float:
+    """Torque of the drive between samples i and i + 1."""
+    j = min(i + 1, drive.command.shape[0] - 1)
+    scale = drive.scale[i] + share * (drive.scale[j] - drive.scale[i])
+    aimed = command - drive.kp * q - drive.kd * qd
+    aimed = min(max(aimed, -drive.limit), drive.limit)
+    return float(drive.on[i] * (scale * aimed - drive.back_emf * qd) + push)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _follow(
+    tables: ForwardTables,
+    carried: Carried | None,
+    valid: Flags,
+    drive: _Drive,
+    period: float,
+    begin: float,
+    segments: Index,
+    q0: Array,
+    qd0: Array,
+    steps: int,
+) -> tuple[Array, Array]:
+    """Integrate every vector and segment in parallel, with ``steps`` loop closings a sample."""
+    n, pieces, samples = len(tables.elements), segments.shape[0], drive.command.shape[0]
+    q_out, qd_out = np.full((n, samples), np.nan), np.full((n, samples), np.nan)
+    h = period / steps
+    for job in prange(n * pieces):
+        v, k = job // pieces, job % pieces
+        if not valid[v]:
+            continue
+        plant, push = plant_of(tables, carried, v), drive.push[v if drive.push.shape[0] > 1 else 0]
+        torque, out, counts = np.empty(2), np.empty((4, 2)), np.zeros(2, dtype=np.int64)
+        a, b = segments[k]
+        q, qd = q0[k], qd0[k]
+        for i in range(a, b):
+            q_out[v, i], qd_out[v, i] = q, qd
+            if i == b - 1 or np.isnan(q):
+                continue
+            for s in range(steps):
+                now, then = (0.0, 0.0) if drive.held else (s / steps, (s + 1) / steps)
+                change = push[i + 1] - push[i]
+                before = push[i] + s / steps * change
+                after = push[i] + (s + 1) / steps * change
+                time = begin + i * period + s * h
+                place = i + s / steps - drive.delays[v]
+                first = last = _standing(drive.command, a, place, 1.0 / steps)
+                if not drive.held:
+                    first = _between(drive.command, a, b - 1, place)
+                    last = _between(drive.command, a, b - 1, place + 1.0 / steps)
+                torque[0] = torque[1] = _torque(drive, i, now, first, before, q, qd)
+                done = 2
+                for _ in range(2):  # predict the motion and so the torque at the end, then correct
+                    count = integrate(plant, torque, h, time, True, q, qd, 1, out, counts)
+                    done = min(done, count)
+                    end, fast = out[POSITION, 1], out[SPEED, 1]
+                    torque[1] = _torque(drive, i, then, last, after, end, fast)
+                q, qd = (out[POSITION, 1], out[SPEED, 1]) if done == 2 else (np.nan, np.nan)
+    return q_out, qd_out

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs
 
 
 def inverse_torque(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     q: ArrayLike,
     qd: ArrayLike,
@@ -60,36 +60,25 @@ def inverse_torque(
     return torque[0] if np.ndim(values) == 1 else torque
 
 
-def torque_at(chain: Chain, values: Array, samples: kernels.Samples, inputs: Inputs) -> Array:
+def torque_at(chain: Joint, values: Array, samples: kernels.Samples, inputs: Inputs) -> Array:
     """Evaluate :func:`inverse_torque` ``(n, N)`` at samples made with the same inputs."""
     torque: Array = kernels.inverse_many(*chain.tables(values, inputs), samples)
     return torque
 
 
 def load_torque(
-    chain: Chain,
-    values: ArrayLike,
-    q: ArrayLike,
-    qdd: ArrayLike,
-    *,
-    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    time: Array | None = None,
+    chain: Joint, values: Array, q: Array, qdd: Array, inputs: Inputs, time: Array
 ) -> Array:
     """Compute the torque ``(N,)`` on the load, ``Gamma`` of eq. (3), less the measured one."""
-    load = chain.tables(np.atleast_2d(np.asarray(values, dtype=np.float64))).load
+    load = chain.tables(np.atleast_2d(values)).load[0]
     inertia, moment = inputs.load(chain.load.motion)
-    position = np.asarray(q, dtype=np.float64)
-    weight = load[0, kernels.GRAVITY] * (load[0, kernels.FIRST_MOMENT] + moment)
-    swing = weight * np.sin(position + load[0, kernels.GRAVITY_ANGLE])
-    torque: Array = (load[0, kernels.LOAD_INERTIA] + inertia) * np.asarray(qdd) + swing
-    if inputs.load_torque is not None:
-        torque = torque - inputs.load_torque.at(
-            np.full(position.shape, np.nan if time is None else time)
-        )
-    return torque
+    weight = load[kernels.GRAVITY] * (load[kernels.FIRST_MOMENT] + moment)
+    swing = weight * np.sin(q + load[kernels.GRAVITY_ANGLE])
+    torque: Array = (load[kernels.LOAD_INERTIA] + inertia) * qdd + swing
+    return torque if inputs.load_torque is None else torque - inputs.load_torque.at(time)
 
 
-def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
+def load_reach(chain: Joint, values: Array, *, open_scale: bool) -> Array:
     """Return factors ``(n,)`` from the load's torque to its loss-free torque at the motor.
 
     ``1/N``, or the mean ``lambda_1/N`` of both power flows where the scale is open (section 4.2).

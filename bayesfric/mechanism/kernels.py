@@ -21,32 +21,21 @@ from bayesfric.recordings.arrays import Array
 # Terms that the kernels write out, by their slots: an element is a row of the first, the load
 # and the measurement make up the second.
 ELEMENT_SLOTS = (
-    "ratio",
-    "inertia",
-    "coulomb_positive",
-    "coulomb_negative",
-    "viscous",
-    "quadratic",
-    "stribeck_ratio",
-    "stribeck_load_ratio",
-    "stribeck_velocity",
-    "stribeck_exponent",
-    "load_drive",
-    "load_back",
-    "load_drive_difference",
-    "load_back_difference",
-    "load_speed",
-    "load_square",
-)
+    "ratio", "inertia", "coulomb_positive", "coulomb_negative", "viscous", "quadratic",
+    "stribeck_ratio", "stribeck_load_ratio", "stribeck_velocity", "stribeck_exponent",
+    "load_drive", "load_back", "load_drive_difference", "load_back_difference",
+    "load_speed", "load_square",
+)  # fmt: skip
 LOAD_SLOTS = ("inertia", "first_moment", "gravity_angle", "gravity", "offset", "gain")
-RATIO, INERTIA, COULOMB_POSITIVE, COULOMB_NEGATIVE, VISCOUS, QUADRATIC = 0, 1, 2, 3, 4, 5
-STRIBECK_RATIO, STRIBECK_LOAD_RATIO, STRIBECK_VELOCITY, STRIBECK_EXPONENT = 6, 7, 8, 9
-LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE = 10, 11, 12, 13
-LOAD_SPEED, LOAD_SQUARE = 14, 15
-LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
+_SLOTS = len(ELEMENT_SLOTS)
+(
+    RATIO, INERTIA, COULOMB_POSITIVE, COULOMB_NEGATIVE, VISCOUS, QUADRATIC,
+    STRIBECK_RATIO, STRIBECK_LOAD_RATIO, STRIBECK_VELOCITY, STRIBECK_EXPONENT,
+    LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE, LOAD_SPEED, LOAD_SQUARE,
+) = range(_SLOTS)  # fmt: skip
+LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = range(len(LOAD_SLOTS))
 Row = Array | tuple[float, ...]  # of one element
 Factors = tuple[float, float]  # of Coulomb and of load-dependent friction
-_SLOTS = len(ELEMENT_SLOTS)
 _as_tuple: Any = to_fixed_tuple
 
 
@@ -103,7 +92,7 @@ def load_losses(element: Row, sign: float, speed: float, rise: float) -> tuple[f
 
 @njit(cache=True, inline="always")
 def element_torque(
-    element: Row, torque: float, sign: float, speed: float, acceleration: float
+    element: Row, torque: float, sign: float, speed: float, acceleration: float, risen: Factors
 ) -> float:
     """Torque at an element's input for one sample, section 2.2 with the friction law of eq. (2).
 
@@ -118,22 +107,16 @@ def element_torque(
         the joint is about to break away; 0 at rest leaves out what depends on direction.
     speed, acceleration
         Of its input, rad or m, SI.
+    risen
+        ``r, r_l``, the factors of :func:`rises` at that speed.
 
     Returns
     -------
     float
-        N m or N; with ``T`` the torque, ``s`` the sign and ``r, r_l`` the factors of :func:`rises`,
-        ``T + J a + (C r + mu |T| + mu_T T²) s + f v + f3 v|v|``, where ``mu`` is ``mu_1`` for
-        ``T s > 0`` and ``mu_2`` else, each times ``r_l``.
+        N m or N; with ``T`` the torque and ``s`` the sign, ``T + J a + (C r + mu |T| + mu_T T²) s +
+        f v + f3 v|v|``, where ``mu`` is ``mu_1`` for ``T s > 0`` and ``mu_2`` else, each times
+        ``r_l``.
     """
-    return risen_torque(element, torque, sign, speed, acceleration, rises(element, speed))
-
-
-@njit(cache=True, inline="always")
-def risen_torque(
-    element: Row, torque: float, sign: float, speed: float, acceleration: float, risen: Factors
-) -> float:
-    """Give :func:`element_torque` where the factors of :func:`rises` are known already."""
     rise, load_rise = risen
     drive, back = load_losses(element, sign, speed, load_rise)
     power = torque * sign
@@ -165,7 +148,7 @@ def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples)
         return out
     low = _low_speeds(elements, samples.speed)
     for i in prange(n):
-        inverse_one(elements[i], load[i], carried[i], samples, low, elements[0], out[i])
+        _inverse(elements[i], load[i], carried[i], samples, low, elements[0], out[i])
     return out
 
 
@@ -180,15 +163,18 @@ def _low_speeds(elements: Array, speed: Array) -> Array:
     for k in range(elements.shape[1] - 1, -1, -1):
         first = elements[0, k]
         to_input *= first[RATIO]
-        if elements[:, k, STRIBECK_RATIO].any() or elements[:, k, STRIBECK_LOAD_RATIO].any():
-            width = first[STRIBECK_VELOCITY] / to_input
+        width, needed = first[STRIBECK_VELOCITY] / to_input, False
+        for i in range(elements.shape[0]):
+            rise, load_rise = elements[i, k, STRIBECK_RATIO], elements[i, k, STRIBECK_LOAD_RATIO]
+            needed |= rise != 0.0 or load_rise != 0.0
+        if needed:
             for j in range(speed.shape[0]):
                 low[k, j] = low_speed(speed[j], width, first[STRIBECK_EXPONENT])
     return low
 
 
 @njit(cache=True, error_model="numpy")
-def inverse_one(
+def _inverse(
     elements: Array,
     load: Array,
     carried: Array,
@@ -198,20 +184,17 @@ def inverse_one(
     out: Array,
 ) -> None:
     """Write the measured motor torque of one parameter vector into ``out``."""
-    n = out.shape[0]
-    sin_q, cos_q = samples.sin_q, samples.cos_q
-    acceleration = samples.acceleration
     inertia = load[LOAD_INERTIA] + samples.added_inertia
-    moment = samples.added_moment
-    for j in range(n):
-        out[j] = inertia * acceleration[j] + gravity_torque(load, moment, sin_q[j], cos_q[j])
+    for j in range(out.shape[0]):
+        weight = gravity_torque(load, samples.added_moment, samples.sin_q[j], samples.cos_q[j])
+        out[j] = inertia * samples.acceleration[j] + weight
     _carry(carried, samples, elements.shape[0], out)
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         to_input *= elements[k, RATIO]
         _through_element(elements[k], first[k], to_input, samples, low[k], out)
         _carry(carried, samples, k, out)
-    for j in range(n):
+    for j in range(out.shape[0]):
         out[j] = (out[j] + load[OFFSET]) / load[GAIN]
     _carry(carried, samples, elements.shape[0] + 1, out)
 
@@ -222,17 +205,15 @@ def _carry(carried: Array, samples: Samples, place: int, out: Array) -> None:
     for t in range(carried.shape[0]):
         if samples.places[t] != place:
             continue
-        value, address, reach = carried[t, 0], samples.addresses[t], samples.reaches[t]
-        if address == 0:
-            column = samples.columns[t]
-            for j in range(out.shape[0]):
-                out[j] += value * column[j]
-        else:
-            for j in range(out.shape[0]):
-                position, speed = samples.position[j], samples.speed[j]
-                sign, stamp = float(np.sign(speed)), samples.time[j]
-                q, qd = reach * position, reach * speed
-                out[j] += value * call(address, q, qd, sign, stamp, carried[t, 1])
+        value, shape = carried[t, 0], carried[t, 1]
+        address, reach = samples.addresses[t], samples.reaches[t]
+        for j in range(out.shape[0]):
+            if address == 0:
+                out[j] += value * samples.columns[t, j]
+            else:
+                q, qd = reach * samples.position[j], reach * samples.speed[j]
+                sign = float(np.sign(samples.speed[j]))
+                out[j] += value * call(address, q, qd, sign, samples.time[j], shape)
 
 
 @njit(cache=True)
@@ -240,7 +221,6 @@ def _through_element(
     element: Array, first: Array, to_input: float, samples: Samples, low: Array, out: Array
 ) -> None:
     """Carry all samples through one element: ``out`` goes from its output to its input."""
-    speed, acceleration = samples.speed, samples.acceleration
     to_torque = 1.0 / element[RATIO]
     # of the joint's speed instead of the input's
     scaled = element.copy()
@@ -252,10 +232,12 @@ def _through_element(
     # a tuple, or the compiler must assume that writing `out` changes it
     row = _as_tuple(scaled, _SLOTS)
     constant, load = row[STRIBECK_RATIO], row[STRIBECK_LOAD_RATIO]
-    shape = slice(STRIBECK_VELOCITY, STRIBECK_EXPONENT + 1)
-    known = (element[shape] == first[shape]).all()
-    for j in range(speed.shape[0]):
-        v = speed[j]
+    known = (
+        element[STRIBECK_VELOCITY] == first[STRIBECK_VELOCITY]
+        and element[STRIBECK_EXPONENT] == first[STRIBECK_EXPONENT]
+    )
+    for j in range(out.shape[0]):
+        v = samples.speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
         risen = (1.0 + constant * low[j], 1.0 + load * low[j]) if known else rises(row, v)
-        out[j] = risen_torque(row, out[j] * to_torque, sign, v, acceleration[j], risen)
+        out[j] = element_torque(row, out[j] * to_torque, sign, v, samples.acceleration[j], risen)

@@ -1,9 +1,7 @@
 """Custom terms, and others that the compiled kernels do not write out: compiled columns.
 
-A term is compiled once to a function of position, speed, direction and time of its element, and
-of the parameter that shapes it, where one does. The forward model calls it at every step. The
-inverse model multiplies its column, computed once for a recording, or calls it where a
-parameter shapes it.
+The forward model calls a compiled column at every step; the inverse model does so where a
+parameter shapes it, and else multiplies a column that is computed once for a recording.
 """
 
 from __future__ import annotations
@@ -159,13 +157,11 @@ def compiled(column: Column, *, shaped: bool) -> Any:
     """Compile a column of position, speed, direction, time and, if ``shaped``, a parameter."""
     inner: Any = njit(column)
 
-    def of_state(position: float, speed: float, direction: float, time: float, _: float) -> float:
-        return float(inner(_Motion(position, speed, direction, time)))
+    def of_state(q: float, qd: float, sign: float, time: float, _: float) -> float:
+        return float(inner(_Motion(q, qd, sign, time)))
 
-    def of_state_and_shape(
-        position: float, speed: float, direction: float, time: float, shape: float
-    ) -> float:
-        return float(inner(_Motion(position, speed, direction, time), shape))
+    def of_state_and_shape(q: float, qd: float, sign: float, time: float, shape: float) -> float:
+        return float(inner(_Motion(q, qd, sign, time), shape))
 
     try:
         return cfunc(_SIGNATURE)(of_state_and_shape if shaped else of_state)
@@ -179,14 +175,13 @@ def compiled(column: Column, *, shaped: bool) -> Any:
 
 def _call(typing_context, address, position, speed, direction, time, shape):  # type: ignore[no-untyped-def]  # noqa: ARG001
     """Call a compiled column by its address, so that one compiled kernel serves all terms."""
-    signature = types.float64(types.int64, *[types.float64] * 5)
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]  # noqa: ARG001
         kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * 5)
         function = builder.inttoptr(arguments[0], kind.as_pointer())
         return builder.call(function, arguments[1:])
 
-    return signature, generate
+    return types.float64(types.int64, *[types.float64] * 5), generate
 
 
 call: Any = intrinsic(_call)

@@ -10,13 +10,15 @@ that adds a torque is carried by its column. A quantity with neither is refused.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import ROOM
 
 Motion = Literal["rotary", "linear"]
@@ -24,8 +26,11 @@ Column = Callable[..., Any]  # of a State, and of the value of the parameter tha
 Choice = str | bool | int
 Units = tuple[str, str]  # where the element's input turns, where it slides
 
+Angle = TypeVar("Angle", float, Array)
+TURN = 2.0 * math.pi
 _INF = math.inf
-_BRIEF = 1e-9  # s, in place of a time constant of zero
+# The word alone, not as a part of a name such as noise.torque, torque_constant or torque-steps.
+_TORQUE_WORD = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 
 class State(NamedTuple):
@@ -96,6 +101,10 @@ class Quantity:
     tries: Callable[[Sizes], tuple[float, ...]] | None = None
     start: float | None = None  # of a search; None for its share of a total
     alone: str = ""  # its meaning where no other element has it; {} is its owner
+    # of a total: its regressor of eq. (11) in plain least squares; its symbol where an angle turns
+    # gravity
+    regressor: str = ""
+    turned: str = ""
     # a constant has a physical value; a law coefficient is that of the same model fitted to similar
     # motions
     measurand: Literal["constant", "law"] = "law"
@@ -111,9 +120,8 @@ class Quantity:
     @property
     def bends(self) -> bool:
         """Whether it changes the totals of eq. (11): a loss, or a shape."""
-        return self.role == "loss" or (
-            self.role == "form" and self.option != "" and not self.circular
-        )
+        shapes = self.role == "form" and self.option != "" and not self.circular
+        return self.role == "loss" or shapes
 
     @property
     def bent_by(self) -> str:
@@ -128,25 +136,6 @@ class Quantity:
 
     def unit(self, motion: Motion) -> str:
         """Look up the unit for an element whose input turns or slides."""
-        return self.units[0 if motion == "rotary" else 1]
-
-
-@dataclass(frozen=True)
-class Total:
-    """A column of ``psi`` in motor units, eq. (13), and what its coefficient means."""
-
-    name: str  # name, units, symbol, meaning: as of a quantity
-    units: Units
-    symbol: str
-    meaning: str
-    column: Column  # function of the motor's state
-    positive: bool = False  # whether its coefficient is positive in any mechanism that loses energy
-    # name of its regressor of eq. (11) in plain least squares
-    regressor: str = ""
-    turned: str = ""  # its symbol where an angle turns gravity
-
-    def unit(self, motion: Motion) -> str:
-        """Look up the unit for a motor that turns or slides."""
         return self.units[0 if motion == "rotary" else 1]
 
 
@@ -224,6 +213,15 @@ OPTION_MEANINGS: Mapping[str, str] = {
     "spring": "torque in proportion to angle, as of a spring or cable",
 }
 
+# What several rows share: losses that change with the recorded temperature, rises at low speed,
+# differences of load-dependent friction by direction.
+_warm = partial(Quantity, option="temperature", lower=-_INF, signal="temperature", zero=ROOM)
+_rise = partial(Quantity, option="stribeck", role="form", spread=lambda _: 1.0, start=0.3)
+_apart = partial(
+    Quantity, option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
+    spread=lambda _: 0.1, scaled_by=1,
+)  # fmt: skip
+
 # In the order in which an element lists its parameters.
 QUANTITIES: dict[str, Quantity] = {
     row.name: row
@@ -288,30 +286,28 @@ QUANTITIES: dict[str, Quantity] = {
             option="power", role="form", upper=2.0, default=1.0, prior="uniform", start=0.6,
             tries=lambda _: (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.2, 1.4, 1.6, 1.8),
         ),
-        Quantity(
+        _warm(
             "viscous_temperature", ("N m s/K", "N s/(m K)"), r"f_{{\vartheta,{}}}",
             "change of viscous loss per kelvin above 20 degC",
-            option="temperature", choice=("viscous", "both"), lower=-_INF, signal="temperature",
-            zero=ROOM, column=lambda m: m.speed,
+            choice=("viscous", "both"), column=lambda m: m.speed,
         ),
-        Quantity(
+        _warm(
             "coulomb_temperature", ("N m/K", "N/K"), r"C_{{\vartheta,{}}}",
             "change of constant loss per kelvin above 20 degC",
-            option="temperature", choice=("constant", "both"), lower=-_INF, signal="temperature",
-            zero=ROOM, column=lambda m: m.direction,
+            choice=("constant", "both"), column=lambda m: m.direction,
         ),
         # oil thins as it warms (Simoni et al. 2015: friction of a robot's joint falls by half)
         Quantity(
             "viscous_warming", ("N m s", "N s/m"), r"\Delta f_{{{}}}",
             "change of viscous loss from the recording's begin until warm",
             option="warming", choice=("viscous", "both"), lower=-_INF, shape="warming_time",
-            column=lambda m, time: -m.speed * np.expm1(-m.time / np.maximum(time, _BRIEF)),
+            column=lambda m, time: -m.speed * np.expm1(-m.time / np.maximum(time, 1e-9)),
         ),
         Quantity(
             "coulomb_warming", _TORQUE, r"\Delta C_{{{}}}",
             "change of constant loss from the recording's begin until warm",
             option="warming", choice=("constant", "both"), lower=-_INF, shape="warming_time",
-            column=lambda m, time: -m.direction * np.expm1(-m.time / np.maximum(time, _BRIEF)),
+            column=lambda m, time: -m.direction * np.expm1(-m.time / np.maximum(time, 1e-9)),
         ),
         Quantity(
             "warming_time", ("s", "s"), r"\tau_{{{}}}", "time constant of warming up",
@@ -319,32 +315,28 @@ QUANTITIES: dict[str, Quantity] = {
             spread=lambda s: s.duration, start=60.0,
             tries=lambda s: tuple(x * s.duration for x in (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)),
         ),
-        Quantity(
+        _rise(
             "stribeck_ratio", _NONE, "c_{{{}}}",
             "relative rise of constant and load-dependent friction at low speed",
-            option="stribeck", role="form", slots=("stribeck_ratio", "stribeck_load_ratio"),
-            spread=lambda _: 1.0, start=0.3,
+            slots=("stribeck_ratio", "stribeck_load_ratio"),
         ),
         # a loss that falls towards standstill: elements that give way before they slide
-        Quantity(
+        _rise(
             "stribeck_change", _NONE, "c_{{{}}}",
             "relative rise of constant and load-dependent friction at low speed, "
             "negative for a fall",
-            option="stribeck", choice="either", role="form",
-            slots=("stribeck_ratio", "stribeck_load_ratio"), lower=-1.0, spread=lambda _: 0.5,
-            start=0.1,
+            choice="either", slots=("stribeck_ratio", "stribeck_load_ratio"), lower=-1.0,
+            spread=lambda _: 0.5, start=0.1,
         ),
-        Quantity(
+        _rise(
             "stribeck_constant", _NONE, "c_{{C,{}}}",
             "relative rise of the constant loss at low speed",
-            option="stribeck", choice="apart", role="form", slots=("stribeck_ratio",),
-            spread=lambda _: 1.0, start=0.3,
+            choice="apart", slots=("stribeck_ratio",),
         ),
-        Quantity(
+        _rise(
             "stribeck_load", _NONE, r"c_{{\mu,{}}}",
             "relative rise of load-dependent friction at low speed",
-            option="stribeck", choice="apart", role="form", slots=("stribeck_load_ratio",),
-            spread=lambda _: 1.0, start=0.3,
+            choice="apart", slots=("stribeck_load_ratio",),
         ),
         Quantity(
             "stribeck_velocity", ("rad/s", "m/s"), r"\dot q_{{0,{}}}",
@@ -378,23 +370,18 @@ QUANTITIES: dict[str, Quantity] = {
             option="load_loss", choice="two", role="loss", column=_is_driven, rises=True,
             spread=lambda _: 0.5, prior_upper=1.0,
         ),
-        Quantity(
+        _apart(
             "load_difference", _NONE, r"\Delta\mu_{{{}}}",
             "half the difference of load-dependent friction at positive and negative speed",
-            option="load_direction", role="form", lower=-_INF, start=0.0, scaled_by=1,
-            slots=("load_drive_difference", "load_back_difference"), spread=lambda _: 0.1,
+            choice=True, slots=("load_drive_difference", "load_back_difference"),
         ),
-        Quantity(
+        _apart(
             "load_drive_difference", _NONE, r"\Delta\mu_{{{}1}}",
             "half the difference by direction of load-dependent friction when the motor drives",
-            option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
-            spread=lambda _: 0.1, scaled_by=1,
         ),
-        Quantity(
+        _apart(
             "load_back_difference", _NONE, r"\Delta\mu_{{{}2}}",
             "half the difference by direction of load-dependent friction when the load drives",
-            option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
-            spread=lambda _: 0.1, scaled_by=1,
         ),
         # gear friction of oil films (Hamon, Gautier and Garrec 2010)
         Quantity(
@@ -462,23 +449,20 @@ SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
 @lru_cache(maxsize=512)
 def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
     """Sine and cosine over the angle: torque, or friction that goes by the direction."""
+    rest: dict[str, Any] = {"option": option, "choice": cycles, "lower": -_INF, "slots": ()}
     if option == "cogging":  # of magnets and teeth (Hsu et al. 2015)
-        letter, effect = "a", "torque"
-        columns = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
+        letter, effect, rest["measurand"] = "a", "torque", "constant"
+        sine, cosine = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
     else:  # as of an eccentric gear (Armstrong-Helouvry 1991)
         letter, effect = "c", "constant loss"
-        columns = (
-            lambda m: m.direction * np.sin(cycles * m.position),
-            lambda m: m.direction * np.cos(cycles * m.position),
-        )
+        sine = lambda m: m.direction * np.sin(cycles * m.position)  # noqa: E731
+        cosine = lambda m: m.direction * np.cos(cycles * m.position)  # noqa: E731
     return tuple(
         Quantity(
             f"{option}_{part}_{cycles}", _TORQUE, rf"{letter}_{{{{{{}},\{part}\,{cycles}}}}}",
-            f"{effect} with the {word} of {cycles} cycles a turn",
-            option=option, choice=cycles, column=column, lower=-_INF, slots=(),
-            measurand="constant" if option == "cogging" else "law",
+            f"{effect} with the {word} of {cycles} cycles a turn", column=column, **rest,
         )
-        for part, word, column in zip(("sin", "cos"), ("sine", "cosine"), columns, strict=True)
+        for part, word, column in (("sin", "sine", sine), ("cos", "cosine", cosine))
     )  # fmt: skip
 
 
@@ -488,44 +472,112 @@ CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
 }
 
 
-def _total(name: str, symbol: str, meaning: str, *, positive: bool = False) -> Total:
-    """Make the motor-side total of a quantity."""
-    row = QUANTITIES[name]
-    assert row.column is not None
-    return Total(name, row.units, symbol, meaning, row.column, positive)
+def _total(quantity: str, symbol: str, meaning: str, **changes: Any) -> Quantity:
+    """Make the motor-side total of a quantity, or the half difference of two."""
+    return replace(QUANTITIES[quantity], symbol=symbol, meaning=meaning, **changes)
 
 
-# In the order of the paper's theta.
-TOTALS: dict[str, Total] = {
+# Columns of ``psi`` in motor units, eq. (13), in the order of the paper's theta; a column is a
+# function of the motor's state. A coefficient is positive in any mechanism that loses energy where
+# its support is.
+TOTALS: dict[str, Quantity] = {
     row.name: row
     for row in (
-        _total("inertia", "J_t", "inertia seen by the motor", positive=True),
-        _total("viscous", "f_t", "viscous loss seen by the motor", positive=True),
-        Total(
-            "viscous_difference", QUANTITIES["viscous"].units, r"\Delta f_t",
+        _total("inertia", "J_t", "inertia seen by the motor"),
+        _total("viscous", "f_t", "viscous loss seen by the motor"),
+        _total(
+            "viscous", r"\Delta f_t",
             "half the difference of the viscous losses at positive and negative speed",
-            lambda m: np.abs(m.speed),
+            name="viscous_difference", column=lambda m: np.abs(m.speed), lower=-_INF,
         ),
-        _total("quadratic", "f_{3,t}", "quadratic loss seen by the motor", positive=True),
-        _total("coulomb", "C_t", "constant loss seen by the motor", positive=True),
+        _total("quadratic", "f_{3,t}", "quadratic loss seen by the motor"),
+        _total("coulomb", "C_t", "constant loss seen by the motor"),
         # C1 and C2 act on what moves; plain least squares takes the offset for their difference
-        Total(
-            "difference", _TORQUE, r"\Delta C", "half the difference of the constant losses",
-            lambda m: np.abs(m.direction), regressor="offset",
+        _total(
+            "coulomb", r"\Delta C", "half the difference of the constant losses",
+            name="difference", column=lambda m: np.abs(m.direction), lower=-_INF,
+            regressor="offset",
         ),
         _total("offset", r"\Delta C_t", "constant torque, half the difference of the losses"),
-        Total(
+        Quantity(
             "gravity", _TORQUE, r"ml\,g/(\alpha_m N)",
             "gravity torque seen by the motor, sine part",
-            lambda m: m.gravity, turned=r"ml\,g\cos q_g/(\alpha_m N)",
+            column=lambda m: m.gravity, lower=-_INF, turned=r"ml\,g\cos q_g/(\alpha_m N)",
         ),
-        Total(
-            "gravity_cosine", _TORQUE, r"ml\,g\sin q_g/(\alpha_m N)",
-            "gravity torque, cosine part", lambda m: m.gravity,
+        Quantity(
+            "gravity_cosine", _TORQUE, r"ml\,g\sin q_g/(\alpha_m N)", "gravity torque, cosine part",
+            column=lambda m: m.gravity, lower=-_INF,
         ),
-        Total(
+        Quantity(
             "added_load", _NONE, r"1/\alpha_m", "motor torque per torque of the known added load",
-            lambda m: m.transmitted, positive=True,
+            column=lambda m: m.transmitted,
         ),
     )
 }  # fmt: skip
+
+
+# --- parameters: quantities of one element --------------------------------------------
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of the joint, ``element.quantity``."""
+
+    name: str  # for example motor.inertia
+    row: Quantity  # its row in the table of quantities
+    owner: str  # name of the element, load, drive, or empty for the whole chain
+    unit: str  # as printed, in SI
+    symbol: str  # LaTeX without dollar signs, the paper's where it has one
+    meaning: str  # one line for people
+    quantity: str  # the part after the dot of its name; this and the next four are its row's
+    lower: float  # support; no prior may reach outside
+    upper: float
+    default: float  # value where it is not part of the model
+    circular: bool  # whether values a turn apart are the same
+
+
+def parameter(
+    owner: str, row: Quantity, motion: Motion, subscript: str, *, alone: bool = False
+) -> Parameter:
+    """Describe one quantity of one element."""
+    meaning = row.alone.format(owner) if alone and row.alone else row.meaning
+    return Parameter(
+        f"{owner}.{row.name}" if owner else row.name,
+        row,
+        owner,
+        row.unit(motion),
+        row.symbol.format(subscript),
+        effort_words(meaning, motion),
+        *(row.name, row.lower, row.upper, row.default, row.circular),
+    )
+
+
+def turned(value: Angle, towards: float) -> Angle:
+    """Add whole turns to an angle until it lies at most half a turn from another one."""
+    out: Angle = value + TURN * np.round((towards - value) / TURN)
+    return out
+
+
+def scales_with_torque(unit: str) -> bool:
+    """Whether a wrong scale of the torque multiplies a number of this unit.
+
+    A wrong torque constant multiplies inertia, friction and offsets; not a loss per torque, a speed
+    or an angle.
+    """
+    return unit.startswith(("kg", "N"))
+
+
+def effort_words(words: str, motion: Motion) -> str:
+    """Say force in place of torque of what slides, and 2π m in place of a turn."""
+    if motion == "rotary":
+        return words
+    return _TORQUE_WORD.sub(r"force\1", words).replace("cycles a turn", "cycles in 2π m")
+
+
+def quantity_of(name: str) -> str:
+    """Give the quantity of a parameter or total: ``inertia`` of ``total.inertia``.
+
+    An offset may go by a recording's name, which says nothing: ``total.offset.<recording>``.
+    """
+    first, _, rest = name.removeprefix("total.").partition(".")
+    return first if first == "offset" or not rest else rest

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesfric.mechanism.chain import Chain, slots_of
+from bayesfric.mechanism.joint import Joint, slots_of
 from bayesfric.recordings.arrays import Array
 
 
@@ -26,7 +26,7 @@ class Scaling:
     which is ``alpha_1 -> k alpha_1``, ``alpha_2 -> k alpha_2``. No torque changes.
     """
 
-    chain: Chain  # the mechanism
+    chain: Joint  # the mechanism
     # the element with load-dependent friction mu_1 (driving) and mu_2 (back-driving)
     element: str
     # of every parameter that takes part the shift and the power with which value + shift is
@@ -45,14 +45,14 @@ class Scaling:
         return f"{self.element}.load_back"
 
     @property
-    def behind(self) -> tuple[str, ...]:
-        """Names of the parameters behind the element, which are multiplied by the factor."""
-        return tuple(name for name, (_, power) in self.rules.items() if power == 1)
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Everything that changes along the scaling."""
         return tuple(self.rules)
+
+    @property
+    def behind(self) -> tuple[str, ...]:
+        """Names of the parameters behind the element, which are multiplied by the factor."""
+        return tuple(name for name, (_, power) in self.rules.items() if power == 1)
 
     def factor_to(self, values: ArrayLike, name: str, value: float) -> float:
         """Factor at which a parameter that takes part reaches a value."""
@@ -103,7 +103,7 @@ class Scaling:
 
 
 def scalings(
-    chain: Chain, added_inertia: float = 0.0, added_moment: float = 0.0
+    chain: Joint, added_inertia: float = 0.0, added_moment: float = 0.0
 ) -> tuple[Scaling, ...]:
     """Find the scalings a chain has while nothing behind the gearbox is known.
 
@@ -129,27 +129,19 @@ def scalings(
         return ()
     family = []
     for i, element in enumerate(chain.elements):
-        risen = any(
-            p.owner == element.name and "stribeck_load_ratio" in slots_of(p)
-            for p in chain.parameters
-        )
-        if element.load_loss != "two" or risen:
-            continue
-        owners = {e.name for e in chain.elements[i + 1 :]} | {"load"}
+        own = [p for p in chain.parameters if p.owner == element.name]
+        risen = any("stribeck_load_ratio" in slots_of(p) for p in own)
         # ratios, angles and speeds do not grow with the torque behind the gearbox
-        rules: dict[str, tuple[float, int]] = {
+        owners = {e.name for e in chain.elements[i + 1 :]} | {"load"}
+        rules = {
             p.name: (known.get(p.name, 0.0), 1)
             for p in chain.parameters
             if p.owner in owners and p.row.role == "own"
         }
-        if rules:
+        if rules and element.load_loss == "two" and not risen:
             # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
             rules |= {f"{element.name}.load_drive": (1.0, -1)}
             rules |= {f"{element.name}.load_back": (-1.0, -1)}
-            rules |= {
-                p.name: (0.0, -p.row.scaled_by)
-                for p in chain.parameters
-                if p.owner == element.name and p.row.scaled_by
-            }
+            rules |= {p.name: (0.0, -p.row.scaled_by) for p in own if p.row.scaled_by}
             family.append(Scaling(chain, element.name, rules))
     return tuple(family)

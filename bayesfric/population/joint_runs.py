@@ -20,16 +20,11 @@ from numpy.typing import NDArray
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.discrepancy import Discrepancy, move_within_support
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.priors import JointPrior, read_prior
+from bayesfric.inference.priors import JointPrior, read_prior
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import LogPosterior, Target
 from bayesfric.population.population import Varying, interval
 from bayesfric.recordings.arrays import Array
-
-# Draws that starts are made from; least spread in a start, in the smallest sd of a run.
-_DRAWS, _NEAR = 2000, 0.3
-# Stream of the seed for these, and an upper limit far above any spread.
-_STARTS, _WIDEST = 15, 1e100
 
 
 class JointTarget(LogPosterior):
@@ -46,47 +41,36 @@ class JointTarget(LogPosterior):
         posteriors: Sequence[Posterior],
         seed: int,
     ) -> None:
-        first = targets[0]
-        self.targets = list(targets)
+        first, self.targets = targets[0], list(targets)
         shared = [name for name in first.free if name not in varying]
         priors = dict(zip(first.names, first.priors, strict=True))
         # a formal prior only: log_prior has the reference prior
-        flat = {"distribution": "uniform", "loc": 0.0, "scale": _WIDEST}
+        flat = {"distribution": "uniform", "loc": 0.0, "scale": 1e100}
         run_priors = {name: priors[name] for name in shared}
         for run in recordings:
             run_priors |= {f"{name}.{run}": priors[name] for name in varying}
         for name in varying:
             run_priors[f"{name}.spread"] = read_prior(name, flat, lower=0.0, upper=np.inf)
         self.names, self.priors = tuple(run_priors), tuple(run_priors.values())
-        self.dimension = len(self.names)
+        self.dimension, self._shared = len(self.names), len(shared)
         index = {name: j for j, name in enumerate(self.names)}
         self._places = [
             np.array([index[n] if n in shared else index[f"{n}.{run}"] for n in first.free])
             for run in recordings
         ]
-        self._varying = np.array(
-            [[index[f"{n}.{run}"] for run in recordings] for n in varying]
-        )  # (., R)
+        # (varying, R) and (varying,)
+        self._varying = np.array([[index[f"{n}.{run}"] for run in recordings] for n in varying])
         self._spreads = np.array([index[f"{name}.spread"] for name in varying])
         # the population is the prior of varying parameters
-        not_counted = {*self._spreads.tolist(), *self._varying.ravel().tolist()}
-        self._counted = [j for j in range(self.dimension) if j not in not_counted]
-        self._joint_prior = JointPrior([self.priors[j] for j in self._counted])
-        free = len(first.free)
-        self._noise = [p.flat()[:, free:].mean(axis=0) for p in posteriors]
-        columns_varying = [first.names.index(name) for name in varying]
-        self._sds = np.array(
-            [p.flat()[:, columns_varying].std(axis=0) for p in posteriors]
-        ).T  # (varying, R)
-        draws = self._first_draws(posteriors, np.random.default_rng([seed, _STARTS]))
-        widths = draws.std(axis=0)
-        widths[self._spreads] = np.nan  # a spread is sampled as its logarithm
-        self.coordinates = BoundedCoordinates(
-            [p.lower for p in self.priors],
-            [p.upper if p.upper < _WIDEST else np.inf for p in self.priors],
-            widths,
-        )
-        self.to_linear, self.from_linear = self.coordinates.to_linear, self.coordinates.from_linear
+        self._joint_prior = JointPrior(self.priors[: self._shared])
+        self._noise = [p.flat()[:, len(first.free) :].mean(axis=0) for p in posteriors]
+        columns = [first.names.index(name) for name in varying]
+        self._sds = np.array([p.flat()[:, columns].std(axis=0) for p in posteriors]).T
+        draws = self._first_draws(posteriors, np.random.default_rng([seed, 15]))
+        widths, upper = draws.std(axis=0), np.array([p.upper for p in self.priors])
+        # a spread is sampled as its logarithm
+        widths[self._spreads], upper[self._spreads] = np.nan, np.inf
+        self.coordinates = BoundedCoordinates([p.lower for p in self.priors], upper, widths)
         self.likelihood = SimpleNamespace(
             fast=all(t.likelihood.fast for t in targets), method="input-error"
         )
@@ -96,23 +80,20 @@ class JointTarget(LogPosterior):
 
     def _first_draws(self, posteriors: Sequence[Posterior], rng: np.random.Generator) -> Array:
         """Draw parameters about as spread as the posterior, from posteriors of runs alone."""
-        out = np.empty((_DRAWS, self.dimension))
-        weights = np.zeros(self.dimension)
-        total = np.zeros((_DRAWS, self.dimension))
+        number, runs = 2000, len(posteriors)
+        weights, total = np.zeros(self.dimension), np.zeros((number, self.dimension))
         for places, posterior in zip(self._places, posteriors, strict=True):
             flat = posterior.flat()
-            x = flat[rng.integers(len(flat), size=_DRAWS), : places.size]
+            x = flat[rng.integers(len(flat), size=number), : places.size]
             weight = 1.0 / x.var(axis=0)
             total[:, places] += weight * x
             weights[places] += weight
-        positive = weights > 0.0
         # of shared parameters precisions add, and draws average by them
-        out[:, positive] = total[:, positive] / weights[positive]
-        for k, places in zip(self._spreads, self._varying, strict=True):
-            scatter = out[:, places].std(axis=1, ddof=1)
-            least = _NEAR * self._sds[k - self._spreads[0]].min()
-            count = len(places) - 1
-            out[:, k] = np.hypot(scatter, least) * np.sqrt(count / rng.chisquare(count, _DRAWS))
+        out = total / np.where(weights > 0.0, weights, 1.0)
+        for k, places, sds in zip(self._spreads, self._varying, self._sds, strict=True):
+            # not much less than the smallest sd of a run
+            scatter = np.hypot(out[:, places].std(axis=1, ddof=1), 0.3 * sds.min())
+            out[:, k] = scatter * np.sqrt((runs - 1) / rng.chisquare(runs - 1, number))
         return out
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
@@ -133,7 +114,7 @@ class JointTarget(LogPosterior):
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of parameters ``(n, d)``; that of a mean is flat."""
         x = parameters
-        out = self._joint_prior.log_density(x[:, self._counted])
+        out = self._joint_prior.log_density(x[:, : self._shared])
         for k, places, sds in zip(self._spreads, self._varying, self._sds, strict=True):
             tau, theta = x[:, k], x[:, places]
             squares = ((theta - theta.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)

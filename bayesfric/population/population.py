@@ -1,4 +1,4 @@
-r"""The population that runs are drawn from, from the posterior of each run alone.
+r"""The population that runs are drawn from, from the posterior of each run alone, on a grid.
 
 A quantity differs from run to run, ``theta_r ~ N(mu, tau^2)``. Each run's posterior divided by its
 prior is its likelihood, here a mixture of normals (a smooth histogram of its draws), whose integral
@@ -7,6 +7,10 @@ over ``theta_r`` is the likelihood of ``mu`` and ``tau`` in closed form.
 ``mu`` has a flat prior and ``tau`` the reference prior of the random-effects model [1]_,
 ``sqrt(sum tau^2/(s_r^2 + tau^2)^2)``: far above the runs' sds it is ``1/tau``, and intervals are
 Student's and chi square's; near zero it vanishes. It is proper from two runs on.
+
+With outliers ``theta_r ~ (1 - e) N(mu, tau^2) + e Out``: normals about ``mu`` of 3, 10 and 30 times
+``sqrt(tau^2 + s^2)``, one third each, with ``s`` the median of the runs' sds. Their share ``e`` is
+Beta(1, 19), a priori one in twenty. Far outliers then widen neither the spread nor its interval.
 
 References
 ----------
@@ -21,23 +25,16 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.recordings.arrays import Array
 
-# Normals in a run's likelihood, and the width of each in the run's sd.
-_NORMALS, _WIDTH = 32, 0.35
-# Share of the draws beyond the outermost normal, on either side.
-_TAIL = 1e-3
-# Largest ratio of prior weights within a posterior.
-_LARGEST_RATIO = 100.0
-# Grid of the spread (from a share of the smallest sd to a multiple of the whole range) and of the
-# mean, in its sds given the spread.
-_SPREADS, _NARROWEST, _WIDEST = 90, 0.01, 300.0
-_MEANS, _REACH = 49, 6.0
+# Draws of a population.
 _DRAWS = 8000
-# p value of one common truth below which runs disagree.
-_P_VALUE = 0.05
+# Widths of the outliers' distribution, and grid of their share.
+_WIDTHS = np.array([3.0, 10.0, 30.0])
+_SHARES = np.geomspace(1e-4, 0.4, 14)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +57,19 @@ class Likelihood:
         return float(np.sqrt(apart + self.width**2))
 
 
-def likelihood(draws: Array, sd: float | None = None, prior: Array | None = None) -> Likelihood:
-    """Make a run's likelihood from draws of its posterior ``(n,)``."""
+def likelihood(
+    draws: Array,
+    sd: float | None = None,
+    prior: Array | None = None,
+    *,
+    normals: int = 32,
+    width: float = 0.35,
+    largest_ratio: float = 100.0,
+) -> Likelihood:
+    """Make a run's likelihood from draws of its posterior ``(n,)``.
+
+    ``normals`` are of a ``width`` in the run's sd; ratios of prior weights are limited.
+    """
     x = draws[np.isfinite(draws)]
     spread = float(x.std())
     if not spread > 0.0:
@@ -70,17 +78,16 @@ def likelihood(draws: Array, sd: float | None = None, prior: Array | None = None
     if sd is not None:
         x = middle + (x - middle) * (sd / spread)
         spread = sd
-    counts, edges = np.histogram(x, _NORMALS, range=tuple(np.quantile(x, [_TAIL, 1.0 - _TAIL])))
+    counts, edges = np.histogram(x, normals, range=tuple(np.quantile(x, [0.001, 0.999])))
     points, weights = 0.5 * (edges[1:] + edges[:-1]), counts / counts.sum()
-    width = _WIDTH * spread
+    width *= spread
     # narrower, so that with the normals' width the mixture is as wide as the draws
-    mean = float(x.mean())
     centre = weights @ points
     narrower = np.sqrt((spread**2 - width**2) / (weights @ (points - centre) ** 2))
-    points = mean + (points - centre) * narrower
+    points = float(x.mean()) + (points - centre) * narrower
     if prior is not None:
         ratios = 1.0 / _density(prior, points)
-        weights = weights * np.clip(ratios, None, _LARGEST_RATIO * ratios.min())
+        weights = weights * np.clip(ratios, None, largest_ratio * ratios.min())
         weights /= weights.sum()
     positive = weights > 0.0
     return Likelihood(points[positive], weights[positive], width)
@@ -129,7 +136,17 @@ class Population(Varying):
     @property
     def agree(self) -> bool:
         """Whether runs differ by no more than chance."""
-        return self.p_value >= _P_VALUE
+        return self.p_value >= 0.05
+
+
+@dataclass(frozen=True)
+class WithOutliers:
+    """A population, and the probability of each run to be an outlier."""
+
+    mean: Interval
+    spread: Interval  # sd of true values from run to run, outliers apart
+    share: Interval  # of outliers
+    outlying: tuple[float, ...]  # probability of each run
 
 
 def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) -> Population:
@@ -137,46 +154,162 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
 
     ValueError with fewer than two runs.
     """
-    if len(runs) < 2:
-        raise ValueError("a population takes two runs or more")
-    means, sds = np.array([r.mean for r in runs]), np.array([r.sd for r in runs])
-    # scaled to order one
-    middle, scale = float(np.median(means)), float(sds.min())
-    means, sds = (means - middle) / scale, sds / scale
-    widest = _WIDEST * (float(np.ptp(means)) + float(sds.max()))
-    steps = np.linspace(np.log(_NARROWEST), np.log(widest), _SPREADS)
-    spread = np.exp(steps)
-    variance = sds**2 + spread[:, None] ** 2
+    likelihoods, middle, scale = _standardised(runs)
+    means, sds = likelihoods.means, likelihoods.sds
+    widest = 300.0 * (float(np.ptp(means)) + float(sds.max()))
+    steps, z = np.linspace(np.log(0.01), np.log(widest), 90), np.linspace(-6.0, 6.0, 49)
+    variance = sds**2 + np.exp(2.0 * steps)[:, None]
     total = (1.0 / variance).sum(axis=1)
-    centre = (means / variance).sum(axis=1) / total
-    z = np.linspace(-_REACH, _REACH, _MEANS)
-    mean = centre[:, None] + z / np.sqrt(total)[:, None]
-    parts = [((r.centres - middle) / scale, r.weights, r.width / scale) for r in runs]
-    log = sum(_log_likelihood(part, mean, spread[:, None]) for part in parts)
+    centre, error = (means / variance).sum(axis=1) / total, 1.0 / np.sqrt(total)
+    log = np.empty((steps.size, z.size))
+    for i, tau in enumerate(np.exp(steps)):
+        each = likelihoods.integrated(centre[i] + error[i] * z, tau**2)
+        log[i] = np.log(np.maximum(each, 1e-300)).sum(axis=1)
     # the prior, steps even in log tau, and those of the mean as wide as it
-    log = log + log_prior(sds, steps)[:, None]
-    log = log - 0.5 * np.log(total)[:, None]
-    probability = np.exp(log - log.max()).ravel()
+    log += (log_prior(sds, steps) + np.log(error))[:, None]
     rng = np.random.default_rng(seed)
-    row, column = np.divmod(
-        rng.choice(probability.size, _DRAWS, p=probability / probability.sum()), _MEANS
-    )
-    tau = np.exp(steps[row] + (rng.random(_DRAWS) - 0.5) * (steps[1] - steps[0]))
-    z_drawn = z[column] + (rng.random(_DRAWS) - 0.5) * (z[1] - z[0])
-    mu = centre[row] + z_drawn / np.sqrt(total[row])
+    row, column = _picked(log, rng)
+    tau = np.exp(steps[row] + _within(steps, rng))
+    mu = centre[row] + error[row] * (z[column] + _within(z, rng))
     following = mu + tau * rng.standard_normal(_DRAWS)
     weights = 1.0 / sds**2
     q = float(weights @ (means - weights @ means / weights.sum()) ** 2)
-
-    own_unit = partial(interval, level=level, shift=middle, unit=scale)
+    original = partial(interval, level=level, shift=middle, unit=scale)
     return Population(
-        mean=own_unit(mu),
+        mean=original(mu),
         spread=interval(tau, level, unit=scale),
-        following=own_unit(following),
-        runs=tuple(own_unit(_draw_run(part, mu, tau, rng)) for part in parts),
+        following=original(following),
+        runs=tuple(original(likelihoods.draw(r, mu, tau, rng)) for r in range(len(runs))),
         q=q,
         p_value=float(stats.chi2.sf(q, len(runs) - 1)),
     )
+
+
+def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) -> WithOutliers:
+    """Give the posterior of a population and the probability of each run to be an outlier.
+
+    ValueError with fewer than two runs.
+    """
+    likelihoods, middle, scale = _standardised(runs)
+    sds = likelihoods.sds
+    steps, z = likelihoods.steps_with_outliers(), np.linspace(-5.0, 5.0, 25)
+    tau = np.exp(steps)
+    centre, error = np.array([likelihoods.mean_of_inliers(t)[:2] for t in tau]).T
+    log = np.empty((steps.size, z.size, _SHARES.size))
+    for i in range(steps.size):
+        inside, outside = likelihoods.both(centre[i] + error[i] * z, tau[i])
+        for j, share in enumerate(_SHARES):
+            mixed = (1.0 - share) * inside + share * outside
+            log[i, :, j] = np.log(np.maximum(mixed, 1e-300)).sum(axis=1)
+    log += (log_prior(sds, steps) + np.log(error))[:, None, None]
+    # Beta(1, 19); steps are even in the share's logarithm
+    log += 18.0 * np.log1p(-_SHARES) + np.log(_SHARES)
+    rng = np.random.default_rng(seed)
+    row, column, index = _picked(log, rng)
+    tau = np.exp(steps[row] + _within(steps, rng))
+    mu = centre[row] + error[row] * (z[column] + _within(z, rng))
+    e = _SHARES[index] * np.exp(_within(np.log(_SHARES), rng))
+    outlying = []
+    for k in range(0, _DRAWS, _DRAWS // 64):
+        inside, outside = likelihoods.both(mu[k : k + 1], tau[k])
+        out = e[k] * outside[0]
+        outlying.append(out / np.maximum(out + (1.0 - e[k]) * inside[0], 1e-300))
+    return WithOutliers(
+        interval(mu, level, middle, scale),
+        interval(tau, level, 0.0, scale),
+        interval(e, level),
+        tuple(np.mean(outlying, axis=0).tolist()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Likelihoods:
+    """Likelihoods of ``R`` runs in units of order one: mixtures of at most ``k`` normals."""
+
+    means: Array  # (R,)
+    sds: Array  # (R,)
+    centres: Array  # (R, k)
+    weights: Array  # (R, k), zero where a run has fewer
+    width: Array  # (R, 1)
+
+    def integrated(self, mean: Array, variance: float) -> Array:
+        """Integrate over normals of means ``(m,)`` and a variance, ``(m, R)``."""
+        v = self.width**2 + variance
+        away = (mean[:, None, None] - self.centres) ** 2
+        return np.asarray((self.weights * np.exp(-0.5 * away / v)).sum(axis=2) / np.sqrt(v[:, 0]))
+
+    def both(self, mean: Array, spread: float) -> tuple[Array, Array]:
+        """Integrate over inliers and outliers, ``(m, R)`` each."""
+        wide = _WIDTHS**2 * (spread**2 + float(np.median(self.sds)) ** 2)
+        outside = [self.integrated(mean, variance) for variance in wide]
+        return self.integrated(mean, spread**2), np.mean(outside, axis=0)
+
+    def draw(self, run: int, mean: Array, spread: Array, rng: np.random.Generator) -> Array:
+        """Draw a run's true value given draws of the population ``(n,)``."""
+        present = self.weights[run] > 0.0
+        centres, width = self.centres[run, present], float(self.width[run, 0])
+        variance = width**2 + spread**2
+        terms = np.log(self.weights[run, present])
+        terms = terms - 0.5 * (mean[:, None] - centres) ** 2 / variance[:, None]
+        # Gumbel's trick picks one of the normals by its weight
+        picked = np.argmax(terms + rng.gumbel(size=terms.shape), axis=1)
+        share = spread**2 / variance
+        middle = mean + share * (centres[picked] - mean)
+        return np.asarray(middle + np.sqrt(share) * width * rng.standard_normal(mean.size))
+
+    def mean_of_inliers(self, tau: float) -> tuple[float, float, float]:
+        """Find the mean of a population, its sd, and its log-likelihood, as if runs were normal.
+
+        One run in fifty is an outlier.
+        """
+        variance = self.sds**2 + tau**2
+        wide = variance[:, None] + _WIDTHS**2 * (tau**2 + float(np.median(self.sds)) ** 2)
+        mean = float(np.median(self.means))
+        for _ in range(20):
+            away = (self.means - mean) ** 2
+            inside = 0.98 * np.exp(-0.5 * away / variance) / np.sqrt(variance)
+            outside = (np.exp(-0.5 * away[:, None] / wide) / np.sqrt(wide)).mean(axis=1)
+            total = inside + 0.02 * outside + 1e-300
+            precisions = (inside / total + 1e-6) / variance
+            mean = float(precisions @ self.means / precisions.sum())
+        return mean, float(1.0 / np.sqrt(precisions.sum())), float(np.log(total).sum())
+
+    def steps_with_outliers(self, coarse: int = 60, fine: int = 36) -> Array:
+        """Give even steps of the spread's logarithm where its posterior is not negligible."""
+        widest = 30.0 * (float(np.ptp(self.means)) + float(self.sds.max()))
+        steps = np.linspace(np.log(0.01), np.log(widest), coarse)
+        _, error, log = np.array([self.mean_of_inliers(t) for t in np.exp(steps)]).T
+        log += np.log(error) + log_prior(self.sds, steps)
+        near = np.flatnonzero(log > log.max() - 12.0)
+        first, last = max(near[0] - 2, 0), min(near[-1] + 2, coarse - 1)
+        return np.linspace(steps[first], steps[last], fine)
+
+
+def _standardised(runs: Sequence[Likelihood]) -> tuple[_Likelihoods, float, float]:
+    """Return likelihoods around the median of the means, in units of the smallest sd, and both."""
+    if len(runs) < 2:
+        raise ValueError("a population takes two runs or more")
+    means, sds = np.array([r.mean for r in runs]), np.array([r.sd for r in runs])
+    middle, scale = float(np.median(means)), float(sds.min())
+    centres, weights = np.zeros((2, len(runs), max(r.centres.size for r in runs)))
+    for k, run in enumerate(runs):
+        centres[k, : run.centres.size] = (run.centres - middle) / scale
+        weights[k, : run.centres.size] = run.weights
+    width = np.array([[run.width / scale] for run in runs])
+    scaled = _Likelihoods((means - middle) / scale, sds / scale, centres, weights, width)
+    return scaled, middle, scale
+
+
+def _picked(log: Array, rng: np.random.Generator) -> tuple[NDArray[np.intp], ...]:
+    """Draw points of a grid by their log density; return their indices."""
+    probability = np.exp(log - log.max()).ravel()
+    picked = rng.choice(probability.size, _DRAWS, p=probability / probability.sum())
+    return np.unravel_index(picked, log.shape)
+
+
+def _within(steps: Array, rng: np.random.Generator) -> Array:
+    """Draw places within a cell of a grid of even steps."""
+    return np.asarray((rng.random(_DRAWS) - 0.5) * (steps[1] - steps[0]))
 
 
 def log_prior(sds: Array, steps: Array) -> Array:
@@ -192,31 +325,3 @@ def interval(draws: Array, level: float, shift: float = 0.0, unit: float = 1.0) 
     """Median and central interval of ``shift + unit draws``."""
     ends = np.quantile(draws, [0.5, 0.5 - level / 2.0, 0.5 + level / 2.0])
     return Interval(*(shift + unit * float(end) for end in ends))
-
-
-_Part = tuple[Array, Array, float]
-
-
-def _log_likelihood(part: _Part, mean: Array, spread: Array) -> Array:
-    """Integrate a run's likelihood over the population: log density of ``(tau, mu)`` grids."""
-    centres, weights, width = part
-    variance = width**2 + spread**2
-    # one normal at a time: the grid of all would leave the cache
-    total = np.zeros(mean.shape)
-    scale = -0.5 / variance
-    for centre, weight in zip(centres.tolist(), weights.tolist(), strict=True):
-        total += weight * np.exp(scale * (mean - centre) ** 2)
-    # no other run's likelihood can compensate where all vanish
-    return np.asarray(np.log(np.maximum(total, 1e-300)) - 0.5 * np.log(variance))
-
-
-def _draw_run(part: _Part, mean: Array, spread: Array, rng: np.random.Generator) -> Array:
-    """Draw a run's true value given draws of the population ``(n,)``."""
-    centres, weights, width = part
-    variance = width**2 + spread**2
-    terms = np.log(weights) - 0.5 * (mean[:, None] - centres) ** 2 / variance[:, None]
-    # Gumbel's trick picks one of the normals by its weight
-    picked = np.argmax(terms + rng.gumbel(size=terms.shape), axis=1)
-    share = spread**2 / variance
-    middle = mean + share * (centres[picked] - mean)
-    return np.asarray(middle + np.sqrt(share) * width * rng.standard_normal(mean.size))

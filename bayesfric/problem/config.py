@@ -19,8 +19,8 @@ from bayesfric.diagnostics.calibration_check import CalibrationCheckOptions
 from bayesfric.estimates.point_estimate import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
-from bayesfric.inference.noise.scale import NoiseScale
-from bayesfric.inference.prior.priors import PriorText
+from bayesfric.inference.noise import NoiseScale
+from bayesfric.inference.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation

@@ -15,11 +15,9 @@ from tomlkit.items import InlineTable, Table
 
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.problem.config import Config, parse_config
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Source
+from bayesfric.recordings.source import Recording, Source
 
 # Name of a model made in Python, in messages.
 _MODEL = Path("Model")
@@ -61,15 +59,10 @@ def toml_value(value: Any) -> str:
     return f"{{ {table.as_string()[1:-1]} }}"
 
 
-def with_terms(config: Config, names: Sequence[str]) -> Config:
-    """Return a configuration whose mechanism names custom terms."""
-    return with_settings(config, [f"mechanism.terms = {toml_value(list(names))}"], extend=False)
+def with_settings(config: Config, settings: Sequence[str]) -> Config:
+    """Return a configuration with settings, lines of dotted keys, added.
 
-
-def with_settings(config: Config, settings: Sequence[str], *, extend: bool = True) -> Config:
-    """Return a configuration with settings, lines of dotted keys, added; comments are preserved.
-
-    Lists are extended if ``extend``, else replaced.
+    Comments are preserved, and lists extended.
     """
     text = config.text
     for line in settings:
@@ -78,22 +71,22 @@ def with_settings(config: Config, settings: Sequence[str], *, extend: bool = Tru
             document = tomlkit.parse(text)
         except TOMLKitError:  # it mistakes a header below dotted keys for a second table
             document = tomlkit.parse(tomlkit.dumps(tomllib.loads(text)))
-        has_table = _put(document, setting, extend)
+        has_table = _put(document, setting)
         text = tomlkit.dumps(document)
         if not has_table:
             text = f"{text.rstrip()}\n\n{tomlkit.dumps(setting)}"
     return parse_config(text, config.path).model_copy(update={"origin": config.origin})
 
 
-def _put(table: Any, setting: Mapping[str, Any], extend: bool) -> bool:
+def _put(table: Any, setting: Mapping[str, Any]) -> bool:
     """Set one key before the comments that end its table; False if that table is missing."""
     ((key, value),) = setting.items()
     current = table.get(key)
     if isinstance(current, Mapping):
-        return _put(current, value, extend)
+        return _put(current, value)
     if isinstance(value, Mapping) and not isinstance(table, InlineTable):
         return False
-    if extend and isinstance(value, list) and isinstance(current, list):
+    if isinstance(value, list) and isinstance(current, list):
         value = [*current, *(x for x in value if x not in current)]
     body = table.value.body if isinstance(table, Table) and current is None else []
     comments: list[Any] = []

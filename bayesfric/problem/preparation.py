@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import Estimation, Knowledge
@@ -18,40 +18,25 @@ from bayesfric.estimates.processing import (
 )
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.noise.autoregressive import MAX_ORDER, Autoregressive
-from bayesfric.inference.prior.priors import Prior, as_knowledge
+from bayesfric.inference.noise import MAX_ORDER, Autoregressive
+from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
-from bayesfric.recordings.held_out import Divided, HeldOut, divide
+from bayesfric.recordings.held_out import Divided, divide
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.observation import Observation, longest_delay, timed
 from bayesfric.recordings.read import read_recordings
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.timing import longest_delay, timed
-
-# Warn if the requested bandwidth changes the inertia by more than this factor.
-_LARGER_INERTIA = 1.05
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """See the attributes of :class:`bayesfric.fit.model.Model`."""
-
-    chain: Joint
-    recordings: list[Measurement]
-    observations: list[Observation]
-    encoder: list[Observation]
-    priors: dict[str, Prior]
-    held_out: tuple[HeldOut, ...]
+from bayesfric.recordings.source import Recording
 
 
 def prepare(
     config: Config, recordings: Sequence[Recording] | None = None, terms: Sequence[Term] = ()
-) -> Prepared:
+) -> tuple[Joint, dict[str, Prior], Divided, list[Observation]]:
     """Read and preprocess every recording of a configuration, or those given.
 
-    ``terms`` are the functions of custom terms that its table ``mechanism`` names.
+    ``terms`` are the functions of custom terms that its table ``mechanism`` names. Returns joint,
+    priors, recordings, and the fitted ones with the motion of the encoder alone.
     """
     tables = config.tables
     with config.named():
@@ -98,8 +83,7 @@ def prepare(
         divided = _with_refined_motion(
             divided, chain, as_knowledge(chain, priors), tables.estimation
         )
-    observations = divided.observations
-    return Prepared(chain, divided.recordings, observations, encoder, priors, divided.held_out)
+    return chain, priors, divided, encoder
 
 
 def _read_all(
@@ -137,10 +121,12 @@ def _with_band(
     return recordings, divide(recordings, tables.processing, tables.validation), ()
 
 
-def _note_attenuation(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:
+def _note_attenuation(
+    divided: Divided, attenuated: Sequence[Attenuated], *, larger: float = 1.05
+) -> Divided:
     """Note that a narrower band contradicts the requested one.
 
-    If the inertia hardly changes, keep the user's bandwidth.
+    If the inertia changes by less than a factor ``larger``, keep the user's bandwidth.
     """
     notes = {
         a.recording: {
@@ -149,7 +135,7 @@ def _note_attenuation(divided: Divided, attenuated: Sequence[Attenuated]) -> Div
             "inertia_narrower": a.larger / a.inertia,
         }
         for a in attenuated
-        if a.larger > _LARGER_INERTIA * a.inertia
+        if a.larger > larger * a.inertia
     }
     observations = [
         replace(o, settings={**o.settings, **notes.get(o.name, {})}) for o in divided.observations

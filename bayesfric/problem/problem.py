@@ -14,9 +14,9 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, by_method, no_progress
-from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.explanation import Explanation, Finding, explain, too_few_outputs
 from bayesfric.diagnostics.policy import MAX_EFFECTS
+from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import (
@@ -25,25 +25,21 @@ from bayesfric.estimates.methods import (
     estimate_by,
     predicts_better,
 )
-from bayesfric.estimates.point_estimate import METHODS, Estimate, Knowledge, Method
+from bayesfric.estimates.point_estimate import Estimate, Knowledge
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice, choose_noise
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.prior.priors import Prior, as_knowledge
+from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
+from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, read_config
-from bayesfric.problem.config_text import with_settings, with_terms
+from bayesfric.problem.config_text import with_settings
 from bayesfric.problem.preparation import prepare
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
-
-# Seconds after which the simulation of the output-error likelihood restarts.
-_SEGMENT = 0.5
 
 
 class Problem:
@@ -67,19 +63,6 @@ class Problem:
         problem._read(read, recordings, terms)
         return problem
 
-    def with_term(self, term: Term) -> Self:
-        """Return the same problem with another custom term, which is treated like any other.
-
-        Raises
-        ------
-        BadInput
-            If the joint has no such element.
-        """
-        others = [term for term in self.chain.terms if term.name != term.name]
-        terms = [*others, term]
-        named = with_terms(self.config, [term.name for term in terms])
-        return type(self).from_config(named, terms=terms, recordings=self.given or None)
-
     def _read(
         self,
         config: Config,
@@ -88,10 +71,9 @@ class Problem:
     ) -> None:
         self.config, self.given = config, recordings or ()
         self._estimates: dict[Method, Estimate] = {}  # cache
-        prepared = prepare(config, recordings, terms)
-        self.chain, self.priors, self.held_out = prepared.chain, prepared.priors, prepared.held_out
-        self.recordings, self.observations = prepared.recordings, prepared.observations
-        self.encoder = prepared.encoder
+        self.chain, self.priors, divided, self.encoder = prepare(config, recordings, terms)
+        self.recordings, self.observations = divided.recordings, divided.observations
+        self.held_out = divided.held_out
         self.references()  # validates them
 
     def alone(self, k: int) -> Self:
@@ -301,7 +283,7 @@ class Problem:
         elif point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
         else:
-            trajectories = self.trajectories(_SEGMENT)
+            trajectories = self.trajectories(0.5)  # s after which its simulation restarts
             with self.config.named():
                 likelihood = PositionLikelihood(
                     self.chain, trajectories, self.observations, self.chain.vector(point)

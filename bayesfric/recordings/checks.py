@@ -1,77 +1,48 @@
-"""Checks of a signal: that it moves, is not clipped, and how coarse it is."""
+"""Checks of signals: motion and standstill, limits, encoder steps, and signals that disagree."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags, runs
-from bayesfric.recordings.resolution import finest_step
-
-# A step below this share of the range is rounding of numbers.
-_NO_STEP = 1e-6
-# Shorter runs of one value are expected in a quantised signal.
-_RUN = 4
-_CLIPPED_SHARE = 0.01
-# Largest possible signal, and smallest whose products stay in floating point.
-_HUGE, TINY = 1e15, 1e-15
-# Longest delay of a velocity that is searched for, s, and least unexplained share of its power.
-_MAX_DELAY = 0.1
-_UNEXPLAINED = 0.01
-# Correlation of a measured velocity with the differentiated position above which they are the same
-# signal, and below which unrelated; and the tolerance of their ratio.
-_SAME, _UNRELATED, _FACTOR = 0.9, 0.3, 0.1
-# Factors between units that are often confused, and the tolerance of a ratio.
-_BETWEEN = {
-    "deg and rad": 180.0 / np.pi,
-    "rpm and rad/s": 30.0 / np.pi,
-    "turn and rad": 2.0 * np.pi,
-    "rpm and deg/s": 6.0,
-    "thousandths and whole": 1e3,
-}
-_NEAR = 0.02
-# Fewer distinct whole numbers may be a switched torque.
-_COUNTS = 20
-# A torque of two levels: their width, and the least share of samples on them and with the sign of
-# the speed.
-_LEVEL, _MOSTLY = 0.05, 0.9
-# Speed, over its root mean square, below which a torque that follows the speed changes sign.
-_SLOW = 0.2
-# Share of a torque's variance that position and speed explain under simple feedback.
-_FOLLOWS = 0.98
-_LEAST_SAMPLES = 50
+from bayesfric.recordings.arrays import Array, Flags, Segments, near, runs, without_excluded
+from bayesfric.recordings.filters import finest_step, lay_windows
+from bayesfric.recordings.measurement import Measurement
 
 Feedback = Literal["sign of speed", "position error"]
+
+# --- raw signals --------------------------------------------------------------------------------
 
 
 def check_moves(values: Array, where: str, signal: str) -> None:
     """Refuse a signal that never changes."""
     if np.ptp(values) == 0:
-        raise BadInput(
-            where,
-            f"the {signal} is {values[0]:.6g} in every sample",
-            "check that this is the right column and that the joint moved",
-        )
+        problem = f"the {signal} is {values[0]:.6g} in every sample"
+        raise BadInput(where, problem, "check that this is the right column and the joint moved")
 
 
-def check_size(values: Array, where: str, signal: str, least: float = 0.0) -> None:
+def check_size(values: Array, where: str, signal: str) -> None:
     """Refuse a signal of an impossible size in SI units."""
     largest = float(np.abs(values).max(initial=0.0))
-    if not least <= largest < _HUGE:
-        raise BadInput(
-            where, f"the {signal} is at most {largest:.3g} in SI units", "check its unit"
-        )
+    if not largest < 1e15:
+        problem = f"the {signal} is at most {largest:.3g} in SI units"
+        raise BadInput(where, problem, "check its unit")
 
 
-def clipped(values: Array, signal: str) -> list[str]:
-    """Warn of limits of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
+def clipped(values: Array, signal: str, *, least: float = 0.01, run: int = 4) -> list[str]:
+    """Warn of limits of a raw signal at which a share ``least`` of the samples lie.
+
+    Shorter runs than ``run`` are expected in a quantised signal.
+    """
     ends = {float(values.max()), float(values.min())}
     # a value below half of the largest is an idle drive, not a limited one
     limits = [end for end in sorted(ends) if 2 * abs(end) >= max(map(abs, ends))]
-    share = sum(b - a for end in limits for a, b in runs(values == end) if b - a >= _RUN)
-    if share < _CLIPPED_SHARE * len(values):
+    share = sum(b - a for end in limits for a, b in runs(values == end) if b - a >= run)
+    if share < least * len(values):
         return []
     return [
         f"{signal}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for "
@@ -86,7 +57,13 @@ def quantisation(values: Array) -> float | None:
     if np.unique(values).size == values.size:
         return None
     step = finest_step(values)
-    return step if step > _NO_STEP * float(np.ptp(values)) else None
+    # smaller ones are rounding of numbers
+    return step if step > 1e-6 * float(np.ptp(values)) else None
+
+
+def whole_numbers(values: Array, *, least: int = 20) -> bool:
+    """Whether a raw signal holds whole numbers only, more than a switched torque would."""
+    return bool(np.all(values == np.round(values))) and np.unique(values).size > least
 
 
 def unwrapped(angle: Array) -> tuple[Array, int]:
@@ -106,6 +83,105 @@ def unwrapped(angle: Array) -> tuple[Array, int]:
     return values, int(np.count_nonzero(jumps))
 
 
+# --- motion and standstill ----------------------------------------------------------------------
+
+
+def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
+    """Flag the samples whose speed is not below the dead zone, nor near a standstill.
+
+    The low-pass smears a standstill over ``guard`` samples past its ends. As many slow samples in a
+    row are a standstill, fewer a reversal.
+    """
+    moving = np.abs(qd) >= dead_zone
+    still = resting(qd, segments, dead_zone, guard)
+    return moving if not still.any() else moving & ~near(still, guard)
+
+
+def too_slow(limit: str = "the dead zone") -> str:
+    """Say why outputs are left out for their speed."""
+    return (
+        f"at joint speeds below {limit}, as at rest or where it turns round, or filtered together "
+        "with such samples"
+    )
+
+
+def resting(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
+    """Flag samples below the dead zone, ``guard`` or more in a row."""
+    flags = np.zeros(len(qd), dtype=np.bool_)
+    for a, b in without_excluded(segments, np.abs(qd) >= dead_zone):
+        flags[a:b] = b - a >= guard
+    return flags
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Outputs whose whole window lies in a standstill."""
+
+    q: Array  # (M,) rad or m of the joint
+    torque: Array  # (M,) of the motor, filtered as outputs in motion are, N m or N
+    stamps: Array  # (M,) s since the file's first stamp
+
+
+def standstill_samples(
+    position: Array, segments: Segments, least: int, *, uneven: float = 0.05
+) -> Flags:
+    """Flag samples ``(N,)`` of runs of ``least`` or more within one encoder step.
+
+    The step is the finest between positions that are read twice in a row: where a recording was
+    resampled, others lie between two steps. Allows ±1 count of jitter at standstill.
+    """
+    flags = np.zeros(position.size, dtype=np.bool_)
+    rounding = 1e-9 * float(np.abs(position).max(initial=0.0))
+    repeated = np.abs(np.diff(position)) <= rounding
+    if not repeated.any():
+        return flags
+    step = finest_step(position[1:][repeated]) * (1.0 + uneven) + rounding
+    for a, b in segments:
+        if b - a < least:
+            continue
+        part = sliding_window_view(position[a:b], least)
+        begins = np.flatnonzero(part.max(axis=1) - part.min(axis=1) <= step)
+        counts = np.zeros(b - a + 1, dtype=np.int64)
+        np.add.at(counts, begins, 1)
+        np.add.at(counts, begins + least, -1)
+        flags[a:b] = np.cumsum(counts[:-1]) > 0
+    return flags
+
+
+def standstill_outputs(
+    recording: Measurement,
+    torque: Array,
+    parts: Segments,
+    still: Flags,
+    taps: Array,
+    factor: int,
+    guard: int,
+    *,
+    max_outputs: int = 200,
+) -> Rest | None:
+    """Lay windows over standstills, ``guard`` samples off their ends; ``None`` where none fits.
+
+    ``torque`` is filtered as for outputs in motion. More than ``max_outputs``, which are evenly
+    spaced, hold no more information.
+    """
+    inner = tuple(
+        (begin + guard, end - guard)
+        for a, b in parts
+        for begin, end in runs(still[a:b], a)
+        if end - begin > 2 * guard
+    )
+    windows = lay_windows(taps, inner, factor, np.ones(still.size, dtype=np.bool_))
+    if windows.n_outputs == 0:
+        return None
+    chosen = np.unique(np.linspace(0, windows.n_outputs - 1, max_outputs).astype(int))
+    centres = windows.centres[chosen]
+    torque = windows.apply(torque)[chosen]
+    return Rest(recording.position[centres], torque, recording.time[centres])
+
+
+# --- signals that disagree, or follow each other ------------------------------------------------
+
+
 def speed_mismatch(velocity: Array, differentiated: Array, usable: Flags) -> float | None:
     """Compare a measured velocity with the differentiated position, with the same filter.
 
@@ -116,30 +192,37 @@ def speed_mismatch(velocity: Array, differentiated: Array, usable: Flags) -> flo
     if not power > 0.0 or not other > 0.0:
         return None
     correlation = float(v @ d) / np.sqrt(power * other)
-    if abs(correlation) < _SAME:
-        return 0.0 if abs(correlation) < _UNRELATED else None
+    if abs(correlation) < 0.9:
+        return 0.0 if abs(correlation) < 0.3 else None
     factor = float(v @ d) / other
-    return factor if abs(factor - 1.0) > _FACTOR else None
+    return factor if abs(factor - 1.0) > 0.1 else None
 
 
 def speed_delay(
-    velocity: Array, differentiated: Array, usable: Flags, period: float
+    velocity: Array, differentiated: Array, usable: Flags, period: float, *, longest: float = 0.1
 ) -> float | None:
     """Estimate the delay, s, of a measured velocity behind the differentiated position.
 
     ``None`` where it is negligible, or explains less than half of what the two differ by.
     """
     at = np.flatnonzero(usable)
-    furthest = min(round(_MAX_DELAY / period), at.size // 10)
+    furthest = min(round(longest / period), at.size // 10)
     power = float(velocity[at] @ velocity[at])
     if furthest < 2 or not power > 0.0:
         return None
     at = at[(at >= furthest) & (at < velocity.size - furthest)]
+
+    def unexplained(lag: int) -> float:
+        """Return the share of the velocity's power that no multiple of the other explains."""
+        x, y = velocity[at], differentiated[at - lag]
+        powers = float(x @ x) * float(y @ y)
+        return 1.0 - float(x @ y) ** 2 / powers if powers > 0.0 else 1.0
+
     # most velocities have no delay, and every lag costs a product
-    if (now := _unexplained(velocity[at], differentiated[at])) < _UNEXPLAINED:
+    if (now := unexplained(0)) < 0.01:
         return None
     lags = np.arange(-furthest, furthest + 1)
-    left = np.array([_unexplained(velocity[at], differentiated[at - lag]) for lag in lags])
+    left = np.array([unexplained(lag) for lag in lags.tolist()])
     k = int(left.argmin())
     if not 0 < k < lags.size - 1 or left[k] > 0.5 * now:
         return None
@@ -147,26 +230,22 @@ def speed_delay(
     return float((lags[k] + 0.5 * (left[k - 1] - left[k + 1]) / bend) * period)
 
 
-def _unexplained(x: Array, y: Array) -> float:
-    """Return the share of a signal's power that no multiple of another explains."""
-    powers = float(x @ x) * float(y @ y)
-    return 1.0 - float(x @ y) ** 2 / powers if powers > 0.0 else 1.0
-
-
 def between(factor: float) -> str:
     """Name the units that a factor lies between; empty for none."""
+    confused = {
+        "deg and rad": 180.0 / np.pi,
+        "rpm and rad/s": 30.0 / np.pi,
+        "turn and rad": 2.0 * np.pi,
+        "rpm and deg/s": 6.0,
+        "thousandths and whole": 1e3,
+    }
     size = max(abs(factor), 1.0 / abs(factor)) if factor else 0.0
-    named = (words for words, times in _BETWEEN.items() if abs(size / times - 1.0) < _NEAR)
+    named = (words for words, times in confused.items() if abs(size / times - 1.0) < 0.02)
     return next((f" (the factor between {words})" for words in named), "")
 
 
-def whole_numbers(values: Array) -> bool:
-    """Whether a raw signal holds whole numbers only, and enough of them to be counts."""
-    return bool(np.all(values == np.round(values))) and np.unique(values).size > _COUNTS
-
-
 def feedback(
-    torque: Array, position: Array, velocity: Array, usable: Flags
+    torque: Array, position: Array, velocity: Array, usable: Flags, *, least_samples: int = 50
 ) -> tuple[Feedback, float] | None:
     """Detect a torque that a controller computes from the motion by a simple law.
 
@@ -174,20 +253,20 @@ def feedback(
     samples or of the torque's variance that it explains.
     """
     t, q, v = torque[usable], position[usable], velocity[usable]
-    if t.size < _LEAST_SAMPLES or not np.ptp(t) > 0.0:
+    if t.size < least_samples or not np.ptp(t) > 0.0:
         return None
     size = float(np.median(np.abs(t)))
-    two_levels = float(np.mean(np.abs(np.abs(t) - size) < _LEVEL * size))
+    two_levels = float(np.mean(np.abs(np.abs(t) - size) < 0.05 * size))
     same = float(np.mean(np.sign(t) == np.sign(v)))
     # a joint reverses some time after an open-loop torque, and together with one that follows it
     turns = np.flatnonzero(np.diff(np.sign(torque)) != 0)
     at_turns = np.minimum(np.abs(velocity[turns]), np.abs(velocity[turns + 1]))
-    follows = turns.size and float(np.median(at_turns)) < _SLOW * float(np.sqrt(np.mean(v**2)))
-    if min(two_levels, same) > _MOSTLY and follows:
+    follows = turns.size and float(np.median(at_turns)) < 0.2 * float(np.sqrt(np.mean(v**2)))
+    if min(two_levels, same) > 0.9 and follows:
         return "sign of speed", same
     columns = np.column_stack([np.ones_like(t), q, v])
     gains = np.linalg.lstsq(columns, t, rcond=None)[0]
     share = 1.0 - float(np.var(t - columns @ gains) / np.var(t))
-    if share > _FOLLOWS and gains[1] < 0.0 and np.var(gains[1] * q) > 0.5 * np.var(t):
+    if share > 0.98 and gains[1] < 0.0 and np.var(gains[1] * q) > 0.5 * np.var(t):
         return "position error", share
     return None

@@ -1,30 +1,25 @@
-"""Filters: zero-phase low-pass, differentiation, and the parallel filter."""
+"""Filters: zero-phase low-pass, differentiation, the parallel filter; and the band they leave."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
+from bayesfric.recordings.measurement import Lag, Measurement
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A cut-off at a smaller share of the sampling rate leaves only rounding.
-_LOWEST_CUTOFF = 1e-6
 # Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
 # both measurement and model, and the others for more; but a kink of the acceleration also affects
 # the samples next to them, so few should be missing.
 SMALL_SHARE, LARGE_SHARE = 0.02, 1 / 3
-# Largest gain error of differentiation at the cut-off of the low-pass.
-_GAIN_ERROR = 1e-4
 # Cut-off of the parallel filter over half the decimated rate at which white noise comes out white
 # (correlations of outputs below 0.003 for any factor). At that half itself neighbours had
 # 0.10, the next -0.07, and intervals from thousands of outputs came out 5 % too narrow.
@@ -32,31 +27,24 @@ _WHITE = 1.0983
 # The most that rounding to whole samples makes of it, where 1.5 are rounded to 2 (neighbours then
 # have -0.2); and the least that is not warned of, where they have 0.3.
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
-# Neighbours on either side that a derivative is made of: at least, and at most.
-_REACH = (4, 24)
-# Chance of one false kink or more in a whole recording.
-_FALSE_KINK = 0.05
-# Neighbours on either side of an interpolated value.
-_NEIGHBOURS = 4
+# Widest band over the sampling rate.
+WIDEST = 0.05
+# Ratio (rms) of acceleration to its noise below which a user is warned: an inertia is too small by
+# about the inverse of its square.
+LEAST_RATIO = 10.0
+Reason = Literal["sampling", "position", "torque", "length", "model", "asked"]
 
 
 def check_cutoff(cutoff: float, fs: float, where: str) -> None:
     """Refuse a cut-off in Hz that the sampling cannot carry; ``where`` is the key that set it."""
-    if cutoff < _LOWEST_CUTOFF * fs:
-        raise BadInput(
-            where,
-            f"the cut-off {cutoff:.3g} Hz is too low for the sampling rate ({fs:.6g} Hz)",
-            "choose a higher cut-off, or 'off' for no low-pass",
-        )
-    if cutoff >= fs / 2:
-        problem = (
-            f"the cut-off {cutoff:.6g} Hz is not below half the sampling rate ({fs / 2:.6g} Hz)"
-        )
-        raise BadInput(where, problem, "choose a lower cut-off, or 'off' for no low-pass")
+    if not 1e-6 * fs <= cutoff < fs / 2:
+        problem = f"the cut-off {cutoff:.6g} Hz is not between {1e-6 * fs:.2g} Hz and half the "
+        problem += f"sampling rate ({fs / 2:.6g} Hz)"
+        raise BadInput(where, problem, "choose another cut-off, or 'off' for no low-pass")
 
 
 @lru_cache(maxsize=64)
-def _sections(order: int, cutoff: float, fs: float) -> Array:
+def _butterworth(order: int, cutoff: float, fs: float) -> Array:
     """Design a Butterworth low-pass as second-order sections."""
     from scipy.signal import butter
 
@@ -73,7 +61,7 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     from scipy.signal import sosfiltfilt
 
     check_cutoff(cutoff, fs, "processing, lowpass")
-    sections = _sections(order, cutoff, fs)
+    sections = _butterworth(order, cutoff, fs)
     # scipy's own padding is shorter than a low cut-off's transient
     padding = max(3 * (2 * len(sections) + 1), int(np.ceil(3 * fs / cutoff)))
     result = np.array(values, dtype=np.float64, order="C")
@@ -100,19 +88,25 @@ def differentiator(reach: int) -> Array:
     return weights
 
 
-def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
+def reach_of(
+    how: Literal["exact", "central"],
+    cutoff: float,
+    fs: float,
+    *,
+    shortest: int = 4,
+    longest: int = 24,
+) -> int:
     """Choose the neighbours on either side of a derivative: one for ``central`` differences.
 
-    Else 4 to 24, so that its gain is right within 1e-4 up to the cut-off; 4 without low-pass (0).
+    Else so many that its gain is right within 1e-4 up to the cut-off; ``shortest`` without (0).
     """
     if how == "central":
         return 1
-    shortest, longest = _REACH
     w = 2.0 * np.pi * cutoff / fs
     angles = np.arange(1, longest + 1)
     for reach in range(shortest, longest):
         gain = 2.0 * differentiator(reach)[reach + 1 :] @ np.sin(angles[:reach] * w)
-        if abs(gain - w) <= _GAIN_ERROR * w:
+        if abs(gain - w) <= 1e-4 * w:
             return reach
     return longest if cutoff else shortest
 
@@ -148,7 +142,7 @@ def averaged(values: Array, segments: Segments, length: float) -> Array:
     return result
 
 
-def later(values: Array, samples: float, neighbours: int = _NEIGHBOURS) -> Array:
+def later(values: Array, samples: float, neighbours: int = 4) -> Array:
     """Delay a signal ``(n,)`` by a possibly fractional or negative number of samples.
 
     Interpolates by the polynomial through ``neighbours`` on either side: with four right within
@@ -176,14 +170,6 @@ def _between(share: float, neighbours: int) -> Array:
     )
 
 
-@dataclass(frozen=True)
-class Lag:
-    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
-
-    cutoff: float  # Hz, -3 dB
-    order: int  # 1 or 2
-
-
 def delayed_command(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:
     """Delay a command ``(n,)`` by some samples, exact within the band.
 
@@ -193,29 +179,6 @@ def delayed_command(command: Array, segments: Segments, samples: float, *, held:
     for a, b in segments:
         late[a:b] = later(command[a:b], samples + 0.5 * held)
     return averaged(late, segments, 1.0) if held else late
-
-
-def integrated_kinks(values: Array, segments: Segments) -> Array:
-    """Correct a torque ``(n,)`` behind a current loop for the kinks at its commands' samples.
-
-    The trapezoid rule misses a twelfth of the slope's jump there (Euler and Maclaurin), which is
-    added. A kink is a second difference that noise of their median size would show once in twenty
-    recordings.
-    """
-    result = values.copy()
-    for a, b in segments:
-        if b - a < 5:
-            continue
-        bend = np.zeros(b - a)
-        bend[1:-1] = np.diff(values[a:b], 2)
-        # a normal's standard deviation from the median absolute value
-        sd = 1.482602218505602 * np.median(np.abs(bend))
-        threshold = NormalDist().inv_cdf(1.0 - 0.5 * _FALSE_KINK / bend.size) * sd
-        neighbour = np.maximum(np.abs(np.roll(bend, 1)), np.abs(np.roll(bend, -1)))
-        kinks = (np.abs(bend) > threshold) & (np.abs(bend) >= neighbour) & (threshold > 0.0)
-        smooth = 0.5 * (np.roll(bend, 2) + np.roll(bend, -2))
-        result[a:b] += np.where(kinks, bend - smooth, 0.0) / 12.0
-    return result
 
 
 def inverse_lowpass(
@@ -242,7 +205,7 @@ class ParallelFilter:
     """
 
     taps: Array  # (L,) symmetric weights that sum to 1
-    starts: NDArray[np.int64]  # (M,) first sample of every window
+    starts: Index  # (M,) first sample of every window
     used: Array  # (N,) 1 for samples that count and 0 for others
     gains: Array  # (M,)
 
@@ -259,18 +222,16 @@ class ParallelFilter:
     def excerpt(self, outputs: Index) -> tuple[ParallelFilter, Index]:
         """Return the filter of some rising outputs ``(m,)``, and the samples that it takes."""
         # one after the first, minus one after the last sample of every window
-        borders = np.zeros(self.used.size + 1, dtype=np.int64)
-        np.add.at(borders, self.starts[outputs], 1)
-        np.add.at(borders, self.starts[outputs] + len(self.taps), -1)
+        borders, starts = np.zeros(self.used.size + 1, dtype=np.int64), self.starts[outputs]
+        np.add.at(borders, starts, 1)
+        np.add.at(borders, starts + len(self.taps), -1)
         inside = np.cumsum(borders[:-1]) > 0
-        places = np.cumsum(inside) - 1
-        chosen = ParallelFilter(
-            self.taps, places[self.starts[outputs]], self.used[inside], self.gains[outputs]
-        )
+        starts = (np.cumsum(inside) - 1)[starts]
+        chosen = ParallelFilter(self.taps, starts, self.used[inside], self.gains[outputs])
         return chosen, np.flatnonzero(inside)
 
     @property
-    def centres(self) -> NDArray[np.int64]:
+    def centres(self) -> Index:
         """Sample in the middle of every window, shape (M,)."""
         return self.starts + len(self.taps) // 2
 
@@ -279,18 +240,11 @@ class ParallelFilter:
 
         From weights (k, M) of outputs to (k, N) of samples.
         """
-        out = np.zeros((len(weights), self.used.size))
-        weighed = weights * self.gains
-        for shift, tap in enumerate(self.taps):
-            # windows begin at different samples
-            out[:, self.starts + shift] += tap * weighed
-        return out * self.used
+        return np.asarray(weights @ self._matrix)
 
     def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
         x = np.asarray(x, dtype=np.float64)
-        if len(self.taps) == 1:
-            return np.asarray(x[..., self.starts] * (self.taps[0] * self.gains))
         rows = x.reshape(-1, x.shape[-1]).T
         out = np.ascontiguousarray((self._matrix @ rows).T)
         return out.reshape(*x.shape[:-1], self.n_outputs)
@@ -314,18 +268,15 @@ def decimation(band: float, fs: float) -> int:
 
 def parallel_length(factor: int, band: float | None, fs: float) -> int:
     """Return how many weights :func:`parallel_taps` has, without making them."""
-    if band is None and factor == 1:
-        return 1
-    nyquist = fs / (2 * factor)
     if band is None:
-        return 8 * factor + 1
+        return 8 * factor + 1 if factor > 1 else 1
     check_cutoff(band, fs, "processing, band")
     # a narrower band needs a longer window for the same steepness
-    return 2 * int(np.ceil(2 * fs / band)) + 1 if band < nyquist else 8 * factor + 1
+    return 2 * int(np.ceil(2 * fs / band)) + 1 if band < fs / (2 * factor) else 8 * factor + 1
 
 
 def parallel_cutoff(factor: int, band: float | None, fs: float) -> float:
-    """Cut-off in Hz, -6 dB, of the parallel filter; see :func:`parallel_taps`."""
+    """Return the cut-off in Hz, -6 dB, of the parallel filter; see :func:`parallel_taps`."""
     return _WHITE * fs / (2 * factor) if band is None else band
 
 
@@ -367,3 +318,176 @@ def lay_windows(
         return windows
     # never near zero: two thirds of the absolute weight are there
     return replace(windows, gains=1.0 / windows.apply(every))
+
+
+# --- band ---------------------------------------------------------------------------------------
+#
+# Differentiating twice multiplies noise and steps of the position by the square of frequency. Where
+# that is not far below the motion, least squares underestimates inertia (errors in variables).
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """The band of a recording and its signal-to-noise ratio.
+
+    The band ends by the ``sampling`` rate, the ``position``'s noise, the ``torque``'s power, the
+    ``length`` of the recording, a ``model`` (:mod:`bayesfric.estimates.processing`), or as
+    ``asked``.
+    """
+
+    band: float  # Hz up to which measured and modelled torque can be compared
+    reason: Reason
+    noise: float  # sd of the noise of position (or speed, where measured), a sample
+    acceleration_ratio: float  # rms of the acceleration over that of its noise, in the band
+
+
+# Power densities at frequencies (K,), averaged over neighbours: frequency and its width in Hz, and
+# the densities of the acceleration, of its noise for unit white noise in the position (or speed),
+# and of the torque.
+_Spectra = tuple[Array, Array, Array, Array, Array]
+
+
+def resolve(recording: Measurement, band: float | None = None) -> Resolution:
+    """Determine the signal-to-noise ratio of a recording in a band in Hz, chosen if left out."""
+    fs = 1.0 / recording.period
+    spectra = _spectra(recording)
+    reason: Reason = "sampling" if band is None else "asked"
+    if spectra is None:
+        return Resolution(WIDEST * fs if band is None else band, reason, 0.0, math.inf)
+    frequency, width, motion, unit_noise, _ = spectra
+    # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
+    quiet = frequency >= 0.3 * fs
+    floor = float(np.median(motion[quiet] / unit_noise[quiet])) if quiet.any() else 0.0
+    variance = max(floor, _steps(recording))
+    if band is None:
+        band, reason = _choose(recording, spectra, variance)
+    inside = frequency <= band
+    inside[0] = True
+    noise = float((unit_noise * width)[inside].sum()) * variance
+    power = float((motion * width)[inside].sum()) - noise
+    ratio = math.sqrt(max(power, 0.0) / noise) if noise > 0.0 else math.inf
+    return Resolution(float(band), reason, math.sqrt(variance), ratio)
+
+
+def finest_step(position: Array, *, smallest: int = 100, uneven: float = 0.1) -> float:
+    """Find the common divisor of all differences of positions, by Euclid's algorithm; 0 for none.
+
+    Of the ``smallest`` ones, within a share of the step: a fine encoder on a fast joint hardly ever
+    shows a single step.
+    """
+    gaps = np.diff(np.unique(position))
+    # rounding of a conversion of units is no encoder step
+    rounding = 64.0 * float(np.finfo(np.float64).eps) * float(np.abs(position).max())
+    gaps = np.sort(gaps[gaps > rounding])[:smallest]
+    if not gaps.size:
+        return 0.0
+    step = float(gaps.min())
+    while True:
+        left = np.abs(gaps - step * np.round(gaps / step))
+        left = left[left > max(uneven * step, rounding)]
+        if not left.size:
+            return step
+        step = float(left.min())
+
+
+def lowpass_above(band: float, fs: float, times: float = 3.0) -> float:
+    """Return the cut-off in Hz of a position's low-pass that hardly attenuates a band.
+
+    A lower one attenuates the model's torque (0.4 % at the band's end at twice the band); with a
+    higher one noise makes the power flow uncertain, and load-dependent friction is off by a third
+    of its sd. At most a fifth of the sampling rate.
+    """
+    return min(times * band, 0.2 * fs)
+
+
+def _choose(
+    recording: Measurement,
+    spectra: _Spectra,
+    variance: float,
+    *,
+    local: float = 10.0,
+    overall: float = 300.0,
+    least_outputs: float = 60.0,
+) -> tuple[float, Reason]:
+    """Choose the widest band that position, torque and sampling allow.
+
+    ``local`` and ``overall`` are the least signal-to-noise ratios (power) of the acceleration at
+    each frequency, for noise models that weigh the band's end most, and over the band: about the
+    inverse share of an inertia that is lost.
+    """
+    fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
+    ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
+    if variance > 0.0:
+        noise = unit_noise * variance
+        # from the frequency of the largest speeds on: below there is little to resolve
+        peak = int(np.argmax(motion / f**2))
+        ratio = np.cumsum(motion * width) / np.cumsum(noise * width) - 1.0
+        # beyond a ratio of 1e7 noise does not matter under any weighting
+        poor = (motion < (1.0 + local) * noise) & (ratio < 1e7)
+        ended = np.flatnonzero((poor | (ratio < overall))[peak + 1 :])
+        if ended.size:
+            ends.append((float(f[peak + ended[0]]), "position"))
+        # A torque without power is no sufficient reason: a smoothly driven joint jolts when it
+        # reverses, and inertia and friction balance at all frequencies.
+        if ratio[min(int(np.searchsorted(f, WIDEST * fs)), f.size - 1)] < 1e4:
+            power = np.cumsum(torque * width)
+            last = min(int(np.searchsorted(power, 0.999 * power[-1])), f.size - 1)
+            ends.append((float(f[last]), "torque"))
+    band, reason = min(ends)
+    used = recording.time.size - int(recording.excluded.sum())
+    least = min(0.5 * least_outputs * fs / max(used, 1), WIDEST * fs)
+    if not band >= least:  # NaN for a joint that never moves
+        band, reason = least, "length"
+    widest = recording.widest_band
+    return (band, reason) if widest is None or band <= widest else (widest, "model")
+
+
+def _steps(recording: Measurement) -> float:
+    """Variance of the rounding of a quantised position; 0 for others."""
+    levels = np.unique(recording.position if recording.velocity is None else recording.velocity)
+    if not 3 <= levels.size <= recording.time.size / 3:
+        return 0.0
+    return float(np.min(np.diff(levels))) ** 2 / 12.0
+
+
+def _spectra(recording: Measurement, least: int = 64) -> _Spectra | None:
+    """Estimate the spectra; ``None`` without a segment of ``least`` samples."""
+    from scipy.signal import welch
+
+    fs = 1.0 / recording.period
+    moved, order = recording.velocity, 1
+    if moved is None:
+        moved, order = recording.position, 2
+    parts = [
+        slice(a, b)
+        for a, b in recording.segments
+        if b - a >= least and not recording.excluded[a:b].all()
+    ]
+    if not parts:
+        return None
+    longest = max(p.stop - p.start for p in parts)
+    size = max(least // 2, min(longest // 4, int(4.0 * fs)))
+    f = np.fft.rfftfreq(size, recording.period).astype(np.float64)
+    total, motion, torque = 0.0, np.zeros_like(f), np.zeros_like(f)
+    for part in parts:
+        weight = float(part.stop - part.start)
+        # differences have hardly any leakage from slow motion, unlike the position
+        steps = np.diff(moved[part], order) * fs**order
+        _, power = welch(steps, fs, nperseg=min(size, steps.size), nfft=size)
+        motion = motion + weight * power
+        _, power = welch(recording.torque[part], fs, nperseg=min(size, steps.size), nfft=size)
+        total, torque = total + weight, torque + weight * power
+    # differences of white noise of variance one: (2 sin(w/2))^2 each
+    noise: Array = 2.0 / fs * (2.0 * fs * np.sin(np.pi * f / fs)) ** (2 * order)
+    # neighbours are averaged, more of them the higher they are
+    edges = [1]
+    while edges[-1] < f.size:
+        edges.append(max(edges[-1] + 1, int(edges[-1] * 1.15)))
+    edges[-1] = f.size
+    counts = np.diff(edges)
+
+    def mean(x: Array) -> Array:
+        return np.add.reduceat(x, edges[:-1]) / counts
+
+    width = counts * (f[1] - f[0])
+    return mean(f), width, mean(motion / total), mean(noise), mean(torque / total)

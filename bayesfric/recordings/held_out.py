@@ -11,16 +11,9 @@ from pydantic import Field
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.options import Options
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import LEAST_SAMPLES, Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timebase import LEAST_SAMPLES
-
-# Outputs left out before a held-out end, in addition to one window of the parallel filter, for the
-# autocorrelation of the noise to decay.
-_GAP = 10
-# Fewer outputs do not determine the coverage of a 90 % interval.
-_LEAST = 20
 
 
 class Validation(Options):
@@ -74,81 +67,80 @@ def divide(
     that their torque does not leak into the fit. They get the dead zone of the fitted part.
     """
     names = [r.name for r in recordings]
+    where = "validation.recordings"
     for name in validation.recordings:
         if name not in names:
-            raise BadInput(
-                "validation.recordings", f"no recording is called {name!r}", nearest(name, names)
-            )
+            problem = f"no recording is called {name!r}"
+            raise BadInput(where, problem, nearest(name, names))
     if set(names) == set(validation.recordings):
-        raise BadInput("validation.recordings", "holds out every recording", "leave one to fit")
-    fitted: list[tuple[Measurement, Observation]] = []
-    held_out: list[HeldOut] = []
+        raise BadInput(where, "holds out every recording", "leave one to fit")
+    fitted, held_out = Divided([], [], ()), list[HeldOut]()
     for recording in recordings:
         if recording.name in validation.recordings:
             o = observe(recording, processing)
-            _check(recording, o, "validation.recordings", f"recording {recording.name!r}")
+            _check(recording, o, where, f"recording {recording.name!r}")
             held_out.append(HeldOut(recording, o, "whole recording"))
-        elif validation.hold_out is not None:
-            rest, o, end = _without_end(recording, processing, validation.hold_out)
-            fitted.append((rest, o))
-            held_out.append(end)
+            continue
+        if validation.hold_out is None:
+            o = observe(recording, processing)
         else:
-            fitted.append((recording, observe(recording, processing)))
-    return Divided([r for r, _ in fitted], [o for _, o in fitted], tuple(held_out))
+            recording, o, end = _without_end(recording, processing, validation.hold_out)
+            held_out.append(end)
+        fitted.recordings.append(recording)
+        fitted.observations.append(o)
+    return replace(fitted, held_out=tuple(held_out))
 
 
 def _without_end(
-    recording: Measurement, processing: Processing, share: float
+    recording: Measurement, processing: Processing, share: float, *, gap: int = 10
 ) -> tuple[Measurement, Observation, HeldOut]:
-    """Hold out the last share of the samples, with a gap before it."""
-    where = "validation.hold_out"
+    """Hold out the last share of the samples, with a window and ``gap`` outputs before it.
+
+    So the autocorrelation of the noise decays.
+    """
+    where, name = "validation.hold_out", recording.name
     n = recording.time.size
     begin = n - round(share * n)
     if begin > LEAST_SAMPLES:
-        # only the fitted part determines the band
-        first = _piece(recording, 0, begin)
-        with suppress(BadInput):  # a remainder that is too short is refused below
-            processing = settled(first, processing)
+        # only the fitted part determines the band; a remainder that is too short is refused below
+        with suppress(BadInput):
+            processing = settled(_piece(recording, 0, begin), processing)
     length, step = window(recording, processing)
-    last = begin - length - _GAP * step
+    last = begin - length - gap * step
     part = f"last {100 * share:.3g} %"
-    whose = f"the {part} of recording {recording.name!r}"
+    whose = f"the {part} of recording {name!r}"
     if last < 1:
-        raise BadInput(where, f"leaves nothing of recording {recording.name!r}", "hold out less")
+        raise BadInput(where, f"leaves nothing of recording {name!r}", "hold out less")
     if begin >= n:
         raise BadInput(where, f"{whose} is not even one sample", "hold out more")
+
+    def observed(recording: Measurement, processing: Processing, whose: str) -> Observation:
+        try:
+            return observe(recording, processing)
+        except BadInput as error:
+            problem = f"{whose}: {error.what}"
+            raise BadInput(where, problem, "hold out another share") from None
+
     rest, end = _piece(recording, 0, last), _piece(recording, begin, n)
-    o = _observed(rest, processing, f"what is left of recording {recording.name!r}")
-    step_sentence = (
-        f"held out: {whose}, from {end.time[0]:.4g} s on, "
-        f"and {begin - last} samples before it as a gap"
-    )
-    o = replace(o, steps=(*o.steps, step_sentence))
+    o = observed(rest, processing, f"what is left of recording {name!r}")
+    note = f"held out: {whose}, from {end.time[0]:.4g} s on, and {begin - last} samples before it "
+    o = replace(o, steps=(*o.steps, f"{note}as a gap"))
     # the dead zone of an end at standstill would be zero
     same = processing.model_copy(update={"dead_zone": float(o.settings["dead_zone"])})
-    predicted = _observed(end, same, whose)
+    predicted = observed(end, same, whose)
     _check(end, predicted, where, whose)
     return rest, o, HeldOut(end, replace(predicted, warnings=()), part)
 
 
-def _observed(recording: Measurement, processing: Processing, whose: str) -> Observation:
-    try:
-        return observe(recording, processing)
-    except BadInput as error:
-        problem = f"{whose}: {error.what}"
-        raise BadInput("validation.hold_out", problem, "hold out another share") from None
-
-
-def _check(recording: Measurement, o: Observation, where: str, whose: str) -> None:
+def _check(
+    recording: Measurement, o: Observation, where: str, whose: str, *, least: int = 20
+) -> None:
+    """Refuse what determines no coverage of a 90 % interval."""
     if not np.ptp(recording.position) > 0.0:
         raise BadInput(where, f"{whose}: the joint never moves", "hold out another part")
-    if o.measured.size < _LEAST:
-        raise BadInput(
-            where,
-            f"{whose} is too short: {o.measured.size} outputs after filtering, at least "
-            f"{_LEAST} are needed",
-            "hold out more, or decimate less",
-        )
+    if o.measured.size < least:
+        problem = f"{whose} is too short: {o.measured.size} outputs after filtering, at least "
+        raise BadInput(where, f"{problem}{least} are needed", "hold out more, or decimate less")
 
 
 def _piece(r: Measurement, begin: int, end: int) -> Measurement:

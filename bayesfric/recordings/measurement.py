@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -10,9 +10,122 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
-from bayesfric.recordings.filters import Lag
-from bayesfric.recordings.timebase import LEAST_SAMPLES, Grid
+
+# Shorter segments between gaps are left out.
+LEAST_SAMPLES = 50
+# Reference temperature of losses that depend on it, degrees Celsius.
+ROOM = 20.0
+# Interpolation of a torque between its samples.
+Hold = Literal["zero", "linear", "cubic"]
+
+# --- time base ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A uniform time base in s made from time stamps."""
+
+    stamps: Array  # (n,)
+    pieces: Segments  # used ranges of stamps
+    time: Array  # (m,) of the grid
+    segments: Segments  # ranges of time, one a piece
+    period: float
+    resampled: bool
+    steps: tuple[str, ...]  # a sentence for every choice made
+    warnings: tuple[str, ...]
+
+    def linear(self, values: Array) -> Array:
+        """Interpolate a signal ``(n,)`` linearly on the grid ``(m,)``."""
+        return self._bring(values, np.interp)
+
+    def smooth(self, values: Array) -> Array:
+        """Interpolate by PCHIP, which keeps the slope continuous."""
+        from scipy.interpolate import pchip_interpolate
+
+        return self._bring(values, lambda x, xp, fp: np.asarray(pchip_interpolate(xp, fp, x)))
+
+    def _bring(self, values: Array, interpolate: Callable[[Array, Array, Array], Array]) -> Array:
+        parts = [values[a:b] for a, b in self.pieces]
+        if self.resampled:
+            parts = [
+                interpolate(self.time[lo:hi], self.stamps[a:b], part)
+                for part, (a, b), (lo, hi) in zip(parts, self.pieces, self.segments, strict=True)
+            ]
+        return np.concatenate(parts)
+
+
+def make_grid(
+    time: Array, chosen: tuple[int, int], where: str, *, gap: float = 5.0, most_jitter: float = 0.01
+) -> Grid:
+    """Put a uniform grid over the segments without gaps of increasing stamps (n,).
+
+    Only the half-open range ``chosen`` is used. A gap is a step of more than ``gap`` median ones.
+    Steps that jitter by more than 1 % rms are resampled to their median.
+    """
+    (first, last), warnings = chosen, list[str]()
+    count = last - first
+    if count < LEAST_SAMPLES:
+        problem = f"has {count} samples, fewer than {LEAST_SAMPLES}"
+        raise BadInput(where, problem, "record longer, or check start and stop")
+    intervals = np.diff(time[first:last])
+    median = float(np.median(intervals))
+    borders = first + 1 + np.flatnonzero(intervals > gap * median)
+    ranges = list(pairwise([first, *borders.tolist(), last]))
+    pieces = tuple((a, b) for a, b in ranges if b - a >= LEAST_SAMPLES)
+    if not pieces:
+        longest = max(b - a for a, b in ranges)
+        problem = f"time gaps leave no segment of {LEAST_SAMPLES} samples"
+        problem += f" (the longest of {len(ranges)} has {longest})"
+        raise BadInput(where, problem, "record without gaps")
+    inside = np.concatenate([np.diff(time[a:b]) for a, b in pieces])
+    period = float(np.mean(inside))
+    jitter = float(np.sqrt(np.mean((inside - period) ** 2)) / period)
+    times, percent = [time[a:b] for a, b in pieces], f"jitter {100 * jitter:.2g} %"
+    if jitter > most_jitter:
+        period = median
+        times = [_evenly(part, period) for part in times]
+        how = f"irregular ({percent}), resampled to {1e3 * period:.3g} ms "
+        how += "by linear interpolation (PCHIP for position)"
+    else:
+        how = f"regular every {1e3 * period:.4g} ms ({percent})"
+    steps = [f"time: {count} samples, {how}"]
+    if len(ranges) > 1:
+        steps.insert(0, f"time: gaps split the recording into {len(ranges)} segments")
+    if len(pieces) < len(ranges):
+        lost = count - sum(b - a for a, b in pieces)
+        warnings.append(
+            f"time: {len(ranges) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
+            f"samples left out ({lost} samples)"
+        )
+    # beyond these its squares leave floating point
+    if not 1e-12 <= period <= 1e9:
+        raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
+    if not 1e-6 <= period <= 1.0:
+        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
+    segments = tuple(pairwise(np.cumsum([0, *(len(part) for part in times)]).tolist()))
+    sentences, resampled = (tuple(steps), tuple(warnings)), jitter > most_jitter
+    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *sentences)
+
+
+def _evenly(stamps: Array, period: float) -> Array:
+    # the tolerance keeps a last stamp that lies on the grid but for rounding
+    n = int(np.floor((stamps[-1] - stamps[0]) / period + 1e-9)) + 1
+    return np.asarray(np.minimum(stamps[0] + period * np.arange(n), stamps[-1]))
+
+
+def spread_ranges(
+    count: int, limit: int, *, max_parts: int = 8, least_samples: int = 1000
+) -> Segments:
+    """Spread ranges evenly over ``count`` samples, ``limit`` of them in all."""
+    parts = min(max_parts, max(1, limit // least_samples))
+    length = limit // parts
+    begins = np.linspace(0, count - length, parts).astype(np.int64).tolist()
+    return tuple((begin, begin + length) for begin in begins)
+
+
+# --- signals ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +140,9 @@ class Signal:
         return np.asarray(np.interp(time, self.stamps, self.values), dtype=np.float64)
 
 
-# Fields of the inputs that are signals.
-_SIGNALS = ("torque_rate", "temperature", "load_torque")
-# Reference temperature of losses that depend on it, degrees Celsius.
-ROOM = 20.0
+def steady(value: float) -> Signal:
+    """Make a constant signal."""
+    return Signal(np.zeros(1), np.full(1, value))
 
 
 @dataclass(frozen=True)
@@ -48,7 +160,7 @@ class Inputs:
 
     def signal(self, name: str) -> Signal | None:
         """Look up a signal or a further column by name; one that does not exist is zero."""
-        if name in _SIGNALS:
+        if name in ("torque_rate", "temperature", "load_torque"):
             signal: Signal | None = getattr(self, name)
             return signal
         return self.others.get(name, steady(0.0))
@@ -65,13 +177,16 @@ class Inputs:
         return self.added_mass * self.radius**2, self.added_mass * self.radius
 
 
-def steady(value: float) -> Signal:
-    """Make a constant signal."""
-    return Signal(np.zeros(1), np.full(1, value))
-
-
 # Inputs at constant speed and room temperature.
 AT_ROOM = Inputs(torque_rate=steady(0.0), temperature=steady(ROOM))
+
+
+@dataclass(frozen=True)
+class Lag:
+    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
+
+    cutoff: float  # Hz, -3 dB
+    order: int  # 1 or 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,20 +234,6 @@ class Law:
         return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)
 
 
-# Most parts of a subsample of a recording, and least samples of one.
-_MAX_PARTS, _PART = 8, 1000
-# Interpolation of a torque between its samples.
-Hold = Literal["zero", "linear", "cubic"]
-
-
-def spread_ranges(count: int, limit: int) -> Segments:
-    """Spread up to eight ranges evenly over ``count`` samples, ``limit`` of them in all."""
-    parts = min(_MAX_PARTS, max(1, limit // _PART))
-    length = limit // parts
-    begins = np.linspace(0, count - length, parts).astype(np.int64).tolist()
-    return tuple((begin, begin + length) for begin in begins)
-
-
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """One recorded file or table in memory in SI units; arrays have the shape (n,)."""
@@ -153,9 +254,7 @@ class Measurement:
     back_emf: Array | None = None  # (n,) subtracted from a torque from a voltage, N m or N
     # (n,) subtracted from the command of a position target, in its unit
     feedback: Array | None = None
-    # torque is a command held until the next sample, or else measured behind a loop that gets its
-    # commands at the samples; None where neither is known
-    held: bool | None = None
+    held: bool = False  # whether torque is a command held until the next sample
     torque_lag: Lag | None = None  # low-pass before recording
     velocity_lag: Lag | None = None
     ratio: float = 1.0  # of the gear, motor motion per joint motion

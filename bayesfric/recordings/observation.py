@@ -7,76 +7,43 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
-from bayesfric.recordings.arrays import Array, Flags, Segments, runs
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, runs, without_excluded
 from bayesfric.recordings.filters import (
     FOLDING,
     LARGE_SHARE,
+    LEAST_RATIO,
     SHARING,
     SMALL_SHARE,
+    WIDEST,
     ParallelFilter,
+    Resolution,
     check_cutoff,
     decimation,
     delayed_command,
     derivative,
-    integrated_kinks,
+    finest_step,
     inverse_lowpass,
     lay_windows,
     lowpass,
+    lowpass_above,
     parallel_cutoff,
     parallel_length,
     parallel_taps,
     reach_of,
+    resolve,
 )
 from bayesfric.recordings.measurement import Inputs, Measurement, Signal
-from bayesfric.recordings.moving import (
-    Rest,
-    moving_samples,
-    near,
-    standstill_outputs,
-    standstill_samples,
-    too_slow,
-    without_excluded,
-)
-from bayesfric.recordings.resolution import (
-    ABOVE_GAPS,
-    LEAST_RATIO,
-    WIDEST,
-    Reason,
-    Resolution,
-    finest_step,
-    lowpass_above,
-    resolve,
-    too_coarse,
-)
 from bayesfric.recordings.source import Processing
 
-_DEAD_SHARE = 0.01
-_TRIM_SAMPLES = 10
-# Least number of samples of a standstill, and of those dropped next to it.
-_GUARD = 10
-# Share and number of windows that the dead zone must leave; else it drops samples, not windows.
-_LEFT, _LEAST_LEFT = 0.2, 60
-# Windows and trims that should fit into the longest segment where the band is chosen.
-_FITTING = 20
-# Outputs of a subsample for the first search, and neighbours in it, as their windows overlap.
-_SUBSAMPLE, _NEIGHBOURS = 5_000, 50
+# Least number of samples off the ends of a segment, and of a standstill and those next to it.
+_TRIM = 10
+# Delays in s, in both directions, between which a torque is about linear.
+FAR_DELAYS = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
 # Every number actually used, in SI units.
 Settings = dict[str, float | int | str]
-# What ends a band.
-_ENDED: dict[Reason, str] = {
-    "sampling": "as wide as the sampling rate allows",
-    "position": "beyond which the position does not resolve the acceleration",
-    "torque": "beyond which the torque has next to no power",
-    "length": "the narrowest that leaves enough outputs of so short a recording; its position or "
-    "torque would need a narrower one",
-    "model": "as in a wider one the inertia comes out smaller and more torque is unexplained: "
-    "there is noise in the acceleration that grows with the motion, such as of time stamps",
-    "asked": "as set, or as the fitted part's",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +66,14 @@ class Observation:
     measured: Array  # (M,) filter.apply(as_position(compared, ...))
     speed: Array  # (M,) qd at the windows' centres
     period: float  # s from one output to the next of the same segment
-    segment_of: NDArray[np.int64]  # (M,) segment of every output
+    segment_of: Index  # (M,) segment of every output
     stamps: Array  # (N,) s since the file's first stamp
     inputs: Inputs
     steps: tuple[str, ...]  # a sentence for every choice made, reading included
     warnings: tuple[str, ...]
     settings: Settings
     position_step: float = 0.0  # encoder step, rad or m of the joint; 0 if unknown
-    rest: Rest | None = None  # outputs at standstill, where requested and detected
+    rest: checks.Rest | None = None  # outputs at standstill, where requested and detected
     left_out: tuple[tuple[float, float], ...] = ()  # spans that the user excluded, s as time
     # (N,) acceleration of the low-passed position, where qdd is the refined one
     smooth: Array | None = None
@@ -116,14 +83,16 @@ class Observation:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
-    def excerpt(self, limit: int = _SUBSAMPLE) -> Observation:
-        """Keep at most about so many outputs, unchanged, in runs all over the recording."""
+    def excerpt(self, limit: int = 5_000, *, neighbours: int = 50) -> Observation:
+        """Keep about ``limit`` outputs, unchanged, in runs of ``neighbours`` all over it.
+
+        Windows overlap, so neighbours share samples.
+        """
         count = self.filter.n_outputs
         if count <= limit:
             return self
-        runs_kept = max(limit // _NEIGHBOURS, 1)
-        begins = np.linspace(0, count - _NEIGHBOURS, runs_kept).astype(np.int64)
-        outputs = np.unique(begins[:, None] + np.arange(_NEIGHBOURS))
+        begins = np.linspace(0, count - neighbours, max(limit // neighbours, 1)).astype(np.int64)
+        outputs = np.unique(begins[:, None] + np.arange(neighbours))
         windows, samples = self.filter.excerpt(outputs)
         of_samples = ("q", "qd", "qdd", "torque", "compared", "stamps")
         of_outputs = ("time", "measured", "speed", "segment_of")
@@ -143,36 +112,6 @@ class Observation:
         return float(f"{max(turns, 5.0) / max(self.period * centres.size, 1e-9):.2g}")
 
 
-@dataclass(frozen=True)
-class _Numbers:
-    """Processing settings with all defaults resolved."""
-
-    fs: float
-    cutoff: float
-    factor: int
-    band: float | None
-    trim_samples: int
-    reach: int
-    guard: int
-    resolution: Resolution
-
-    @property
-    def filters_torque(self) -> bool:
-        """Whether the torque passes the position's low-pass, too.
-
-        Then both lose the same at the band's end. Not where every sample is an output, as it would
-        colour the noise, nor with central differences, as in published analyses.
-        """
-        return self.reach > 1 and self.cutoff > 0.0 and self.used_band > 0.0
-
-    @property
-    def used_band(self) -> float:
-        """Hz of the parallel filter; 0 for none."""
-        if self.band is not None:
-            return self.band
-        return self.fs / (2 * self.factor) if self.factor > 1 else 0.0
-
-
 def observe(
     recording: Measurement, processing: Processing, resolution: Resolution | None = None
 ) -> Observation:
@@ -181,42 +120,38 @@ def observe(
     Defaults come from the recording and its ``resolution``. A cut-off that the sampling rate cannot
     carry, and settings that leave no output, are bad input.
     """
-    numbers, prepared = _prepare(recording, processing, resolution)
+    filters, prepared = _prepare(recording, processing, resolution)
     if prepared.filter.n_outputs == 0:
-        raise BadInput(
-            f"recording '{recording.name}', dead_zone",
-            "the joint is never faster than the dead zone for a whole window",
-            "lower dead_zone (0 for none), or decimate less",
-        )
+        problem = "the joint is never faster than the dead zone for a whole window"
+        hint = "lower dead_zone (0 for none), or decimate less"
+        raise BadInput(f"recording '{recording.name}', dead_zone", problem, hint)
     q, qd, windows = prepared.q, prepared.qd, prepared.filter
     segments, period = recording.segments, recording.period
     compared = prepared.compared & ~recording.excluded
-    warnings = [*recording.warnings, *_band_warnings(numbers)]
-    warnings += too_coarse(numbers.resolution, recording)
-    settings = _settings(recording, processing, numbers, prepared)
+    warnings = [*recording.warnings, *_band_warnings(filters, recording)]
+    settings = _settings(recording, processing, filters, prepared)
     if law := checks.feedback(recording.torque, q, qd, compared):
         settings["feedback"] = law[0]
     if recording.velocity is not None:
-        speed = derivative(q, segments, period, numbers.reach)
+        speed = derivative(q, segments, period, filters.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
         warnings += _velocity_warnings(factor, checks.speed_delay(qd, speed, compared, period))
         # a smaller mismatch may come from filters
         if factor is not None and not 0.5 < factor < 2.0:
             settings["velocity_factor"] = factor
     borders = np.array([a for a, _ in segments], dtype=np.int64)
-    torque = applied_torque(recording, numbers.reach)
+    torque = applied_torque(recording, filters.reach)
     filtered_torque = as_position(torque, segments, period, settings)
     inputs, standstill = _filtered_inputs(recording, settings), None
     if processing.rest:
-        standstill = standstill_outputs(
-            recording.position,
+        standstill = checks.standstill_outputs(
+            recording,
             filtered_torque,
-            recording.time,
-            windows.taps,
             prepared.parts,
-            numbers.factor,
             prepared.still,
-            numbers.guard,
+            windows.taps,
+            filters.factor,
+            filters.guard,
         )
         settings["rest_outputs"] = 0 if standstill is None else standstill.q.size
         if standstill is None:
@@ -228,18 +163,18 @@ def observe(
         name=recording.name,
         q=q,
         qd=qd,
-        qdd=derivative(qd, segments, period, numbers.reach),
+        qdd=derivative(qd, segments, period, filters.reach),
         torque=torque,
         compared=torque,
         filter=windows,
         time=recording.time[windows.centres],
         measured=windows.apply(filtered_torque),
         speed=qd[windows.centres],
-        period=numbers.factor * period,
+        period=filters.factor * period,
         segment_of=np.searchsorted(borders, windows.starts, side="right").astype(np.int64) - 1,
         stamps=recording.time,
         inputs=inputs,
-        steps=(*recording.steps, *_step_sentences(numbers, recording, settings)),
+        steps=(*recording.steps, *_step_sentences(filters, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
         position_step=finest_step(recording.position),
@@ -252,27 +187,27 @@ def observe(
 
 
 def _settings(
-    recording: Measurement, processing: Processing, numbers: _Numbers, prepared: _Prepared
+    recording: Measurement, processing: Processing, filters: _Filters, prepared: _Windows
 ) -> Settings:
-    resolution = numbers.resolution
+    resolution = filters.resolution
     settings: Settings = {
-        "sampling_rate": numbers.fs,
-        "lowpass": numbers.cutoff,
+        "sampling_rate": filters.fs,
+        "lowpass": filters.cutoff,
         "order": processing.order,
-        "decimate": numbers.factor,
-        "band": numbers.used_band,
-        "filter_cutoff": parallel_cutoff(numbers.factor, numbers.band, numbers.fs),
+        "decimate": filters.factor,
+        "band": filters.used_band,
+        "filter_cutoff": parallel_cutoff(filters.factor, filters.band, filters.fs),
         "differentiation": processing.differentiation,
         "velocity": "differentiated" if recording.velocity is None else "measured",
-        "reach": numbers.reach,
-        "guard": numbers.guard,
+        "reach": filters.reach,
+        "guard": filters.guard,
         "band_by": resolution.reason,
         "noise_seen": resolution.noise,
         "dead_zone": prepared.dead_zone,
         "rest": processing.rest,
-        "trim": numbers.trim_samples * recording.period,
-        "trim_samples": numbers.trim_samples,
-        "torque_lowpass": numbers.cutoff if numbers.filters_torque else 0.0,
+        "trim": filters.trim_samples * recording.period,
+        "trim_samples": filters.trim_samples,
+        "torque_lowpass": filters.cutoff if filters.filters_torque else 0.0,
         "motion": "encoder",
         "taps": len(prepared.filter.taps),
         "n_samples": len(prepared.q),
@@ -304,6 +239,192 @@ def _filtered_inputs(recording: Measurement, settings: Settings) -> Inputs:
     )
 
 
+# --- choice of filters and windows ----------------------------------------------------------------
+
+
+def settled(recording: Measurement, processing: Processing) -> Processing:
+    """Fix a recording's filters, so that another part of it gets the same."""
+    filters, _ = _prepare(recording, processing)
+    return processing.model_copy(update={"lowpass": filters.cutoff, "decimate": filters.factor})
+
+
+def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
+    """Return the samples of one window, and from one output to the next."""
+    filters = _choose_filters(recording, processing)
+    return parallel_length(filters.factor, filters.band, filters.fs), filters.factor
+
+
+@dataclass(frozen=True)
+class _Filters:
+    """Filters of a recording, with all defaults resolved."""
+
+    fs: float  # Hz, of the sampling
+    cutoff: float  # Hz, of the position's low-pass; 0 for none
+    factor: int  # samples an output
+    band: float | None  # Hz, as given
+    trim_samples: int
+    reach: int  # neighbours on either side of a derivative
+    guard: int  # samples left out next to a standstill
+    resolution: Resolution
+
+    @property
+    def filters_torque(self) -> bool:
+        """Whether the torque passes the position's low-pass, too.
+
+        Then both lose the same at the band's end. Not where every sample is an output, as it would
+        colour the noise, nor with central differences, as in published analyses.
+        """
+        return self.reach > 1 and self.cutoff > 0.0 and self.used_band > 0.0
+
+    @property
+    def used_band(self) -> float:
+        """Hz of the parallel filter; 0 for none."""
+        if self.band is not None:
+            return self.band
+        return self.fs / (2 * self.factor) if self.factor > 1 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """The filtered motion ``(N,)`` and the windows laid over it."""
+
+    q: Array
+    qd: Array
+    compared: Flags
+    dead_zone: float
+    filter: ParallelFilter
+    dropped: dict[str, int]
+    still: Flags  # (N,) at standstill, where requested
+    parts: Segments  # without their ends and excluded spans
+
+
+def _prepare(
+    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+) -> tuple[_Filters, _Windows]:
+    """Resolve the settings and lay the windows, so that enough of them remain."""
+    filters = _choose_filters(recording, processing, resolution)
+    prepared = _filter_and_lay_windows(recording, processing, filters, SMALL_SHARE)
+    count = prepared.filter.n_outputs
+    # the dead zone must leave a fifth of the windows, and sixty
+    if count < max(0.2 * (count + prepared.dropped["dropped_dead_zone"]), 60):
+        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
+        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
+        if processing.lowpass is None:
+            filters = _lower_lowpass(recording, processing, filters)
+        prepared = _filter_and_lay_windows(recording, processing, filters, LARGE_SHARE)
+    return filters, prepared
+
+
+def _choose_filters(
+    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+) -> _Filters:
+    fs = 1 / recording.period
+    where = f"recording '{recording.name}'"
+    cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
+    if band is not None:
+        check_cutoff(band, fs, f"{where}, band")
+    if cutoff is None and factor is None:
+        # the band that is compared determines both
+        resolution = resolve(recording, band)
+        if band is None:
+            longest = max(b - a for a, b in recording.segments)
+            # twenty windows and trims should fit into the longest segment
+            limit = max(round(0.5 / WIDEST), longest // 20)
+            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, limit))
+        else:
+            factor = min(decimation(band, fs), len(recording.time))
+        cutoff = lowpass_above(band or fs / (2 * factor), fs)
+    else:
+        cutoff = fs / 10 if cutoff is None else cutoff
+        if factor is None and band is not None:
+            factor = decimation(band, fs)
+        elif factor is None:
+            factor = max(1, round(fs / cutoff)) if cutoff else 1
+        factor = min(factor, len(recording.time))  # larger ones leave no output either
+        half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
+        resolution = resolution or resolve(recording, half if band is None else band)
+    if cutoff:
+        check_cutoff(cutoff, fs, f"{where}, lowpass")
+    reach = reach_of(processing.differentiation, cutoff, fs)
+    one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
+    if processing.trim is None:
+        trim = max(_TRIM, 2 * reach, one_period)
+    else:
+        # more than there are would only cost memory
+        trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
+    trim = max(trim, int(np.ceil(abs(recording.late) * fs - 1e-9)))
+    return _Filters(fs, cutoff, factor, band, trim, reach, max(_TRIM, one_period), resolution)
+
+
+def _lower_lowpass(recording: Measurement, processing: Processing, filters: _Filters) -> _Filters:
+    """Lower the low-pass until the acceleration behind it is more than its noise."""
+    band = filters.used_band or filters.fs / 2
+    # higher above the band, so that the effect of samples left out reaches fewer neighbours
+    cutoff = lowpass_above(band, filters.fs, 6.0)
+    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
+        cutoff = max(cutoff / 1.5, 2.0 * band)
+    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": filters.factor})
+    return replace(_choose_filters(recording, lower), resolution=filters.resolution)
+
+
+def _filter_and_lay_windows(
+    recording: Measurement, processing: Processing, filters: _Filters, share: float
+) -> _Windows:
+    """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
+    segments, trim = recording.segments, filters.trim_samples
+    q, qd = filtered_motion(recording, filters.cutoff, processing.order, filters.reach)
+    # nothing may be left of a segment
+    trimmed = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
+    inside = np.zeros(len(q), dtype=np.bool_)
+    for a, b in trimmed:
+        inside[a:b] = True
+    dead_zone = processing.dead_zone
+    if isinstance(dead_zone, str):
+        dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
+    elif dead_zone is None:
+        speeds = np.abs(qd[inside])
+        dead_zone = 0.01 * float(np.percentile(speeds, 99)) if speeds.size else 0.0
+    moving = checks.moving_samples(qd, segments, dead_zone, filters.guard)
+    still = np.zeros(len(q), dtype=np.bool_)
+    if processing.rest:
+        still = checks.standstill_samples(recording.position, segments, 2 * filters.guard)
+        moving &= ~near(still, filters.guard)
+    if share > SMALL_SHARE and filters.cutoff:
+        # the low-pass smears the jolt of a reversal over a period on either side
+        moving &= ~near(~moving, round(filters.fs / filters.cutoff))
+    # the low-pass smears excluded samples past their borders, as past a segment's ends
+    parts = without_excluded(trimmed, near(recording.excluded, trim))
+    where = f"recording '{recording.name}'"
+    length = parallel_length(filters.factor, filters.band, filters.fs)
+    longest = max(b - a for a, b in segments)
+    # before the weights are made: there may be more of them than memory
+    if length > longest:
+        problem = f"decimate = {filters.factor} needs windows of {length} samples, and the longest "
+        hint = "decimate less, raise band, or record longer"
+        raise BadInput(f"{where}, decimate", f"{problem}segment has {longest}", hint)
+    taps = parallel_taps(filters.factor, filters.band, filters.fs)
+    everything = np.ones(len(moving), dtype=np.bool_)
+    untrimmed, inner, included = (
+        lay_windows(taps, ranges, filters.factor, everything).n_outputs
+        for ranges in (segments, trimmed, parts)
+    )
+    if inner == 0:
+        problem = f"trim = {trim * recording.period:.3g} s leaves no segment of {length} samples"
+        raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
+    if included == 0:
+        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
+    windows = lay_windows(taps, parts, filters.factor, moving, share)
+    dropped = {
+        "dropped_trim": untrimmed - inner,
+        "dropped_excluded": inner - included,
+        "dropped_dead_zone": included - windows.n_outputs,
+    }
+    return _Windows(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
+
+
+# --- torque and motion ----------------------------------------------------------------------------
+
+
 def applied_torque(recording: Measurement, reach: int) -> Array:
     """Return the torque ``(n,)`` that moves the joint at the samples, within the band.
 
@@ -315,11 +436,7 @@ def applied_torque(recording: Measurement, reach: int) -> Array:
         return target_torque(recording)
     if recording.torque_lag:
         return inverse_lowpass(torque, segments, recording.period, recording.torque_lag, reach)
-    if recording.held is None:
-        return torque
-    if not recording.held:
-        return integrated_kinks(torque, segments)
-    return delayed_command(torque, segments, 0.0, held=True)
+    return delayed_command(torque, segments, 0.0, held=True) if recording.held else torque
 
 
 def target_torque(recording: Measurement, delay: float = 0.0) -> Array:
@@ -378,200 +495,40 @@ def with_motion(
 ) -> Observation:
     """Replace the low-passed motion by a refined one; the torque is then not low-passed."""
     settings = {**o.settings, "torque_lowpass": 0.0, "motion": "refined"}
-    step = (
-        f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes the "
-        "measured torque, which is not low-passed"
-    )
-    return replace(
-        o,
-        q=q,
-        qd=qd,
-        qdd=qdd,
-        smooth=o.qdd,
-        speed=qd[o.filter.centres],
-        measured=o.filter.apply(o.compared),
-        inputs=replace(
-            o.inputs,
-            load_torque=recording.inputs.load_torque,
-            others=recording.inputs.others,
-        ),
-        steps=(*o.steps, step),
-        settings=settings,
-    )
+    step = f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes "
+    step += "the measured torque, which is not low-passed"
+    raw = recording.inputs
+    inputs = replace(o.inputs, load_torque=raw.load_torque, others=raw.others)
+    speed, measured = qd[o.filter.centres], o.filter.apply(o.compared)
+    unchanged = replace(o, inputs=inputs, steps=(*o.steps, step), settings=settings, smooth=o.qdd)
+    return replace(unchanged, q=q, qd=qd, qdd=qdd, speed=speed, measured=measured)
 
 
-def settled(recording: Measurement, processing: Processing) -> Processing:
-    """Fix a recording's filters, so that another part of it gets the same."""
-    numbers, _ = _prepare(recording, processing)
-    return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
+# --- warnings and steps in words ----------------------------------------------------------------
 
 
-def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
-    """Return the samples of one window, and from one output to the next."""
-    numbers = _settle(recording, processing)
-    return parallel_length(numbers.factor, numbers.band, numbers.fs), numbers.factor
-
-
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """The filtered motion ``(N,)`` and the windows laid over it."""
-
-    q: Array
-    qd: Array
-    compared: Flags
-    dead_zone: float
-    filter: ParallelFilter
-    dropped: dict[str, int]
-    still: Flags  # (N,) at standstill, where requested
-    parts: Segments  # without their ends and excluded spans
-
-
-def _prepare(
-    recording: Measurement, processing: Processing, resolution: Resolution | None = None
-) -> tuple[_Numbers, _Prepared]:
-    """Resolve the settings and lay the windows, so that enough of them remain."""
-    numbers = _settle(recording, processing, resolution)
-    prepared = _lay(recording, processing, numbers, SMALL_SHARE)
-    count = prepared.filter.n_outputs
-    if count < max(_LEFT * (count + prepared.dropped["dropped_dead_zone"]), _LEAST_LEFT):
-        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
-        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
-        if processing.lowpass is None:
-            numbers = _quieter(recording, processing, numbers)
-        prepared = _lay(recording, processing, numbers, LARGE_SHARE)
-    return numbers, prepared
-
-
-def _settle(
-    recording: Measurement, processing: Processing, resolution: Resolution | None = None
-) -> _Numbers:
-    fs = 1 / recording.period
-    where = f"recording '{recording.name}'"
-    cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
-    if band is not None:
-        check_cutoff(band, fs, f"{where}, band")
-    if cutoff is None and factor is None:
-        # the band that is compared determines both
-        resolution = resolve(recording, band)
-        if band is None:
-            longest = max(b - a for a, b in recording.segments)
-            limit = max(round(0.5 / WIDEST), longest // _FITTING)
-            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, limit))
-        else:
-            factor = min(decimation(band, fs), len(recording.time))
-        cutoff = lowpass_above(band or fs / (2 * factor), fs)
-    else:
-        cutoff = fs / 10 if cutoff is None else cutoff
-        if factor is None and band is not None:
-            factor = decimation(band, fs)
-        elif factor is None:
-            factor = max(1, round(fs / cutoff)) if cutoff else 1
-        factor = min(factor, len(recording.time))  # larger ones leave no output either
-        half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
-        resolution = resolution or resolve(recording, half if band is None else band)
-    if cutoff:
-        check_cutoff(cutoff, fs, f"{where}, lowpass")
-    reach = reach_of(processing.differentiation, cutoff, fs)
-    one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
-    if processing.trim is None:
-        trim = max(_TRIM_SAMPLES, 2 * reach, one_period)
-    else:
-        # more than there are would only cost memory
-        trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
-    trim = max(trim, int(np.ceil(abs(recording.late) * fs - 1e-9)))
-    return _Numbers(fs, cutoff, factor, band, trim, reach, max(_GUARD, one_period), resolution)
-
-
-def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) -> _Numbers:
-    """Lower the low-pass until the acceleration behind it is more than its noise."""
-    band = numbers.used_band or numbers.fs / 2
-    cutoff = lowpass_above(band, numbers.fs, ABOVE_GAPS)
-    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
-        cutoff = max(cutoff / 1.5, 2.0 * band)
-    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
-    return replace(_settle(recording, lower), resolution=numbers.resolution)
-
-
-def _lay(
-    recording: Measurement, processing: Processing, numbers: _Numbers, share: float
-) -> _Prepared:
-    """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
-    segments, trim = recording.segments, numbers.trim_samples
-    q, qd = filtered_motion(recording, numbers.cutoff, processing.order, numbers.reach)
-    # nothing may be left of a segment
-    trimmed = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
-    inside = np.zeros(len(q), dtype=np.bool_)
-    for a, b in trimmed:
-        inside[a:b] = True
-    dead_zone = processing.dead_zone
-    if isinstance(dead_zone, str):
-        dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
-    elif dead_zone is None:
-        speeds = np.abs(qd[inside])
-        dead_zone = _DEAD_SHARE * float(np.percentile(speeds, 99)) if speeds.size else 0.0
-    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
-    still = np.zeros(len(q), dtype=np.bool_)
-    if processing.rest:
-        still = standstill_samples(recording.position, segments, 2 * numbers.guard)
-        moving &= ~near(still, numbers.guard)
-    if share > SMALL_SHARE and numbers.cutoff:
-        # the low-pass smears the jolt of a reversal over a period on either side
-        moving &= ~near(~moving, round(numbers.fs / numbers.cutoff))
-    # the low-pass smears excluded samples past their borders, as past a segment's ends
-    parts = without_excluded(trimmed, near(recording.excluded, trim))
-    everything = np.ones(len(moving), dtype=np.bool_)
-    where = f"recording '{recording.name}'"
-    length = parallel_length(numbers.factor, numbers.band, numbers.fs)
-    longest = max(b - a for a, b in recording.segments)
-    # before the weights are made: there may be more of them than memory
-    if length > longest:
-        raise BadInput(
-            f"{where}, decimate",
-            f"decimate = {numbers.factor} needs windows of {length} samples, and the longest "
-            f"segment has {longest}",
-            "decimate less, raise band, or record longer",
-        )
-    taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
-
-    def lay(segments: Segments, usable: Flags) -> ParallelFilter:
-        return lay_windows(taps, segments, numbers.factor, usable, share)
-
-    untrimmed = lay(recording.segments, everything).n_outputs
-    inner = lay(trimmed, everything).n_outputs
-    included = lay(parts, everything).n_outputs
-    if inner == 0:
-        raise BadInput(
-            f"{where}, trim",
-            f"trim = {numbers.trim_samples * recording.period:.3g} s leaves no segment of {length} "
-            "samples",
-            "trim less, decimate less, or record longer",
-        )
-    if included == 0:
-        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
-    windows = lay(parts, moving)
-    dropped = {
-        "dropped_trim": untrimmed - inner,
-        "dropped_excluded": inner - included,
-        "dropped_dead_zone": included - windows.n_outputs,
-    }
-    return _Prepared(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
-
-
-def _band_warnings(numbers: _Numbers) -> Iterator[str]:
-    band, half = numbers.band, numbers.fs / (2 * numbers.factor)
-    if band is None:
-        return
-    hint = f"decimate = {decimation(band, numbers.fs)} would fit"
+def _band_warnings(filters: _Filters, recording: Measurement) -> Iterator[str]:
+    """Warn of a band unlike the decimation, and of an acceleration that its noise drowns."""
+    band, half, resolution = filters.band, filters.fs / (2 * filters.factor), filters.resolution
+    hint = "" if band is None else f"decimate = {decimation(band, filters.fs)} would fit"
     # the small share is rounding
-    if band > FOLDING * half * (1.0 + 1e-9):
+    if band is not None and band > FOLDING * half * (1.0 + 1e-9):
         yield (
             f"band: {band:.6g} Hz is above half the decimated rate ({half:.6g} Hz), "
             f"so higher frequencies fold back; {hint}"
         )
-    if numbers.factor > 1 and band < SHARING * half:
+    if band is not None and filters.factor > 1 and band < SHARING * half:
         yield (
             f"band: {band:.6g} Hz is below half the decimated rate ({half:.6g} Hz), so "
             f"neighbouring outputs share noise and intervals come out too narrow; {hint}"
+        )
+    if resolution.acceleration_ratio < LEAST_RATIO:
+        yield (
+            f"{'position' if recording.velocity is None else 'velocity'}: its noise or steps "
+            f"({resolution.noise:.2g}, one sd) make the acceleration in the band to "
+            f"{resolution.band:.3g} Hz only {resolution.acceleration_ratio:.2g} times as large as "
+            f"its noise, at least {LEAST_RATIO:g} are needed: inertia comes out too small; "
+            "lower band, or record a faster motion or a finer position"
         )
 
 
@@ -590,47 +547,126 @@ def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str
         )
 
 
-def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iterator[str]:
+def _step_sentences(filters: _Filters, recording: Measurement, settings: Settings) -> Iterator[str]:
+    resolution, trim = filters.resolution, filters.trim_samples
     both = ", of both position and torque" if settings["torque_lowpass"] else ""
-    yield (
-        f"low-pass: zero-phase Butterworth of order {settings['order']} at "
-        f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling){both}"
-        if numbers.cutoff
-        else "low-pass: none"
-    )
-    end = numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
+    how = f"zero-phase Butterworth of order {settings['order']} at {filters.cutoff:.4g} Hz "
+    how += f"({filters.fs:.4g} Hz sampling){both}"
+    yield f"low-pass: {how if filters.cutoff else 'none'}"
+    end = filters.used_band or filters.cutoff or 0.25 * filters.fs
     for signal, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
         if lag:
             times = math.hypot(1.0, (end / lag.cutoff) ** lag.order)
             yield (
-                f"{signal}: the low-pass at {lag.cutoff:.4g} Hz is undone; at the end of "
-                f"the band that makes it, and noise from after the filter, {times:.2g} times "
-                "as large"
+                f"{signal}: the low-pass at {lag.cutoff:.4g} Hz is undone, which makes it and "
+                f"later noise {times:.2g} times as large at the end of the band"
             )
-    of, length = "position", "rad" if recording.motion == "rotary" else "m"
-    unit, used = length, "differentiated position"
-    if recording.velocity is not None:
-        of, unit, used = "speed", f"{length}/s", "measured velocity"
-    how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
+    length = "rad" if recording.motion == "rotary" else "m"
+    signal, unit = ("position", length) if recording.velocity is None else ("speed", f"{length}/s")
+    how = "central differences" if filters.reach == 1 else f"{2 * filters.reach + 1} points"
+    used = "differentiated position" if recording.velocity is None else "measured velocity"
     yield f"velocity: {used}; acceleration: differentiated by {how}"
-    resolution = numbers.resolution
     if "acceleration_ratio" in settings:
         yield (
             f"signal to noise of the acceleration in the band to {resolution.band:.3g} Hz (rms): "
-            f"{resolution.acceleration_ratio:.3g}; noise of a sample of the {of} "
+            f"{resolution.acceleration_ratio:.3g}; noise of a sample of the {signal} "
             f"{resolution.noise:.2g} {unit}"
         )
-    yield f"band: ends at {end:.3g} Hz, {_ENDED[resolution.reason]}"
-    yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
-    yield (
-        "parallel filter: none, every sample is an output"
-        if settings["taps"] == 1
-        else f"parallel filter: {settings['taps']} taps, cut-off "
-        f"{settings['filter_cutoff']:.4g} Hz, one output in {numbers.factor} samples"
-    )
-    slow = too_slow(f"{settings['dead_zone']:.3g} {length}/s")
+    ended = {
+        "sampling": "as wide as the sampling rate allows",
+        "position": "beyond which the position does not resolve the acceleration",
+        "torque": "beyond which the torque has next to no power",
+        "length": "the narrowest that leaves enough outputs of so short a recording",
+        "model": "as noise that grows with the motion, such as of time stamps, takes from the "
+        "inertia in a wider one",
+        "asked": "as set, or as the fitted part's",
+    }
+    yield f"band: ends at {end:.3g} Hz, {ended[resolution.reason]}"
+    yield f"trim: {trim} samples off both ends of every segment"
+    how = f"{settings['taps']} taps, cut-off {settings['filter_cutoff']:.4g} Hz, one output in "
+    how += f"{filters.factor} samples"
+    every = "none, every sample is an output"
+    yield f"parallel filter: {every if settings['taps'] == 1 else how}"
+    slow = checks.too_slow(f"{settings['dead_zone']:.3g} {length}/s")
     dropped, left = int(settings["dropped_dead_zone"]), int(settings["n_outputs"])
     rest = f"; {n} at rest" if (n := settings.get("rest_outputs", 0)) else ""
     if dropped > left and "rest_outputs" not in settings:
         rest = "; rest = true under [processing] makes use of those at rest"
     yield f"dead zone: {dropped} outputs left out, {slow}; {left} remain{rest}"
+
+
+# --- delay between torque and position ----------------------------------------------------------
+#
+# A position that is late by ``d`` belongs to the torque of ``d`` before, to first order near ``d0``
+# ``y(t - d0) - (d - d0) y'(t - d0)``. So ``y(t - d0) + d0 y'(t - d0)`` is compared with a model
+# that has the additional term ``d y'(t - d0)``, linear in the delay, up to second order.
+# Of a torque from a target, the target acts late: ``y(t - d)`` is the torque with that target.
+
+
+def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
+    """Use the torque of ``delay`` seconds earlier, up to the trimmed ends."""
+    longest = longest_delay(o, recording.period)
+    if abs(delay) > longest:
+        problem = f"the position would come {delay:.3g} s late, which is more than the "
+        problem += f"{longest:.3g} s that are trimmed off the ends"
+        hint = "correct the time stamps, or raise trim"
+        raise BadInput(f"recording '{recording.name}', delay", problem, hint)
+    corrected = retimed(o, recording.segments, recording.period, delay, recording)
+    signal = "torque" if recording.feedback is None else "target"
+    step = f"delay: {signal} of {delay:.3g} s before the position, and what it changes by"
+    settings = {**o.settings, "delay": delay}
+    return replace(corrected, steps=(*o.steps, step), settings=settings)
+
+
+def longest_delay(o: Observation, period: float) -> float:
+    """Longest delay, s, that the trimmed ends of a recording allow."""
+    return float(o.settings.get("trim_samples", 0)) * period
+
+
+def filtered_rate(o: Observation) -> Array:
+    """Rate ``(M,)`` of the torque after :func:`retimed`, N m/s or N/s."""
+    assert o.inputs.torque_rate is not None
+    return o.filter.apply(o.inputs.torque_rate.values)
+
+
+def retimed(
+    o: Observation,
+    segments: Segments,
+    period: float,
+    delay: float,
+    recording: Measurement | None = None,
+) -> Observation:
+    """Correct as :func:`timed`, without checks; a back-EMF is computed from the position."""
+    back_emf = None if recording is None else recording.back_emf
+    if recording is not None and recording.feedback is not None:
+        before, rate = target_torque(recording, delay), command_rate(o, recording, delay)
+    else:
+        emf = np.zeros_like(o.torque) if back_emf is None else back_emf
+        before = delayed_command(o.torque + emf, segments, delay / period, held=False) - emf
+        rate = _rate(o, o.torque + emf, segments, period, delay)
+    compared = before + delay * rate
+    return replace(
+        o,
+        compared=compared,
+        measured=o.filter.apply(as_position(compared, segments, period, o.settings)),
+        inputs=replace(o.inputs, torque_rate=Signal(o.stamps, rate)),
+    )
+
+
+def command_rate(o: Observation, recording: Measurement, delay: float = 0.0) -> Array:
+    """Rate ``(N,)`` of the torque by its late target alone, N m/s or N/s; 0 at its limit."""
+    law = recording.law
+    assert law is not None
+    inside = np.abs(unlimited_command(recording, delay)) < law.limit
+    late = delay + 0.5 * recording.period * law.held
+    rate = _rate(o, law.command, recording.segments, recording.period, late)
+    return np.asarray(law.scale * inside * rate)
+
+
+def _rate(o: Observation, x: Array, segments: Segments, period: float, delay: float) -> Array:
+    """Differentiate a delayed signal ``(N,)`` by time, low-passed as the position."""
+    cutoff, order = float(o.settings.get("lowpass", 0.0)), int(o.settings.get("order", 1))
+    # only noise is above the low-pass that the position has passed
+    smooth = lowpass(x, segments, 1.0 / period, cutoff, order)
+    late = delayed_command(smooth, segments, delay / period, held=False)
+    return derivative(late, segments, period, int(o.settings.get("reach", 1)))

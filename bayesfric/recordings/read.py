@@ -10,15 +10,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.measurement import Inputs, Law, Measurement, Signal
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Grid, Inputs, Law, Measurement, Signal, make_grid
+from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
     SI,
     Channel,
@@ -27,14 +27,14 @@ from bayesfric.recordings.source import (
     Effort,
     Position,
     Processing,
+    Recording,
     Source,
     Target,
     Torque,
     Velocity,
     Voltage,
 )
-from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
-from bayesfric.recordings.timebase import Grid, check_order, make_grid
+from bayesfric.recordings.tables import Table
 
 Motion = Literal["rotary", "linear"]
 
@@ -42,18 +42,12 @@ POSITION: dict[Motion, units.Kind] = {"rotary": "angle", "linear": "length"}
 VELOCITY: dict[Motion, units.Kind] = {"rotary": "angular_speed", "linear": "speed"}
 TORQUE: dict[Motion, units.Kind] = {"rotary": "torque", "linear": "force"}
 CONSTANT: dict[Motion, units.Kind] = {"rotary": "torque_constant", "linear": "force_constant"}
-# Units in which a measured signal of a joint is never a column of whole numbers.
-_NOT_COUNTED = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
-# Zero degrees Celsius in each unit.
-_ZERO = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
 # Keys that turn what a controller gives into a torque.
 _REQUIRED: dict[units.Kind, tuple[str, ...]] = {
     "current": ("torque_constant",),
     "voltage": ("torque_constant", "resistance"),
     "share": ("torque_constant", "resistance", "times"),  # of a supply voltage
 }
-# Where in its averaging period a mean is stamped.
-_STAMPED = {"average": "the middle", "start": "the start", "end": "the end"}
 
 
 @dataclass(frozen=True)
@@ -97,9 +91,8 @@ def read_recordings(
         try:
             measurement = _read(source, read_table(path, source), drive, processing)
         except MemoryError as error:
-            raise BadInput(
-                str(path), "needs more memory than there is", "split it, or save fewer columns"
-            ) from error
+            hint = "split it, or save fewer columns"
+            raise BadInput(str(path), "needs more memory than there is", hint) from error
         measurements.append(replace(measurement, name=name, path=path, sha256=sha256(path)))
     return measurements
 
@@ -108,68 +101,60 @@ def read_recordings(
 @np.errstate(all="ignore")
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     """Take a table's columns, check them, and bring them onto a uniform time base."""
-    steps, warnings = [*table.notes], list[str]()
     # columns
+    source, table = _by_time(source, table)
     _check_columns(source, table)
-    position, step = joint_signal(source.position, "position", table, drive)
-    steps.append(step)
+    position, position_step = joint_signal(source.position, "position", table, drive)
+    steps, velocity = [*table.notes, position_step], None
     time = recorded_time(source, table, len(position))
-    chosen = slice(*chosen_rows(source, time, table.where))
-    at_position = table.label(source.position.column)
-    checks.check_size(position, at_position, "position")
-    velocity = None
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, "velocity", table, drive)
-        checks.check_size(velocity, table.label(source.velocity.column), "velocity")
         steps.append(step)
-    recorded = _recorded_torque(source, table, drive)
-    channel, kind = recorded.channel, recorded.kind
-    at_torque = table.label(channel.column)
+    channel, kind, recorded, torque_step = _recorded_torque(source, table, drive)
 
     # checks
-    checks.check_size(recorded.law.command, at_torque, kind)
+    chosen = slice(*chosen_rows(source, time, table.where))
     grid = make_grid(time, (chosen.start, chosen.stop), table.where)
-    checks.check_moves(position[chosen], at_position, "position")
-    checks.check_moves(recorded.law.command[chosen], at_torque, kind)
-    warnings += grid.warnings
-    if not recorded.law.closed:
+    checks.check_moves(position[chosen], table.label(source.position.column), "position")
+    checks.check_moves(recorded.command[chosen], table.label(channel.column), kind)
+    warnings = [*grid.warnings, *_count_warnings(source, table, chosen)]
+    if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
     if (encoder_step := checks.quantisation(position[chosen])) is not None:
         unit = "rad" if drive.motion == "rotary" else "m"
         steps.append(f"position: read in steps of {encoder_step:.3g} {unit} at the joint")
-    warnings += _count_warnings(source, table, chosen)
     steps += grid.steps
 
     # arrays
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
-    law = recorded.law.on(grid)
+    law = recorded.on(grid)
     if channel.sampled != "instant":
-        length = float(np.median(np.diff(time))) / grid.period
-        law = replace(law, command=_centred(law.command, channel.sampled, grid, length))
         # position and speed pass the same averaging as the torque
+        length = float(np.median(np.diff(time))) / grid.period
+        shift = {"start": 0.5, "end": -0.5}.get(channel.sampled, 0.0) * length
+        command = filters.delayed_command(law.command, grid.segments, shift, held=False)
+        law = replace(law, command=command)
         joint = filters.averaged(joint, grid.segments, length)
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
-        stamped = _STAMPED[channel.sampled]
+        stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
+    motor_speed = np.zeros(joint.shape) if speed is None else speed
     if speed is None and (law.back_emf or law.kd):
         motor_speed = _differentiated(joint, grid, processing)
-    else:
-        motor_speed = np.zeros(joint.shape) if speed is None else speed
     torque = law.drives(joint, motor_speed)
-    feedback = law.kp * joint + law.kd * motor_speed if law.closed else None
     back_emf = law.back_emf * motor_speed if law.back_emf else None
     if back_emf is not None:
         torque = torque - back_emf
-    steps.append(recorded.step + _law_step(law, joint, motor_speed, measured=speed is not None))
-    checks.check_size(joint, at_position, "position", checks.TINY)
-    checks.check_size(torque, at_torque, "torque", checks.TINY)
+    steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
-    if source.target is not None:
-        law = _target_law(source.target, table, drive).law.on(grid)
     off, excluded = _excluded(source, table, grid, warnings)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
+    torque_constant = None
+    if source.current is not None:
+        torque_constant, *_ = _motor("current", source.current, table, drive)
+    played = law if source.target is None else _target_law(source.target, table, drive)[0].on(grid)
     return Measurement(
         name="",
         path=None,
@@ -179,25 +164,44 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         velocity=speed,
         torque=torque,
         back_emf=back_emf,
-        feedback=feedback,
+        feedback=law.kp * joint + law.kd * motor_speed if law.closed else None,
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
         inputs=inputs,
         steps=tuple(steps),
         warnings=tuple(warnings),
-        # a mean over the sample has no kink at the sample
-        held=channel.held if channel.held or channel.sampled == "instant" else None,
+        held=channel.held,
         torque_lag=channel.lag,
         velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,
-        torque_constant=recorded.torque_constant,
-        law=replace(law, off=off),
+        torque_constant=torque_constant,
+        law=replace(played, off=off),
         ratio=drive.ratio,
     )
 
 
 # --- columns ------------------------------------------------------------------------------------
+
+
+def _by_time(source: Columns, table: Table) -> tuple[Columns, Table]:
+    """Pair columns that have time stamps of their own by time, at those of the position."""
+    if not table.clocks:
+        return source, table
+    clocks = dict.fromkeys(c for column in source.columns if (c := table.clock(column)))
+    if source.time is None:
+        if len(clocks) > 1:
+            problem = f"its columns have time stamps of their own ({', '.join(clocks)})"
+            raise BadInput(table.where, problem, "give time in place of rate")
+        return source, table
+    if source.time.column not in table.clocks.values():
+        return source, table
+    clock = table.clock(source.position.column) or source.time.column
+    time = source.time.model_copy(update={"column": clock})
+    return (
+        source.model_copy(update={"time": time}),
+        table.paired(source.columns, clock, source.valid),
+    )
 
 
 def _check_columns(source: Columns, table: Table) -> None:
@@ -224,11 +228,9 @@ def _signed(channel: Channel, table: Table) -> Array:
         wrong = (values < 0) | (values >= full) | (values != np.floor(values))
         if wrong.any():
             index = int(np.argmax(wrong))
-            raise BadInput(
-                f"{table.label(channel.column)}, {table.row(index)}",
-                f"{values[index]:g} is no unsigned number of {channel.twos_complement} bits",
-                "correct or leave out twos_complement",
-            )
+            where = f"{table.label(channel.column)}, {table.row(index)}"
+            problem = f"{values[index]:g} is no unsigned number of {channel.twos_complement} bits"
+            raise BadInput(where, problem, "correct or leave out twos_complement")
         values = np.where(values >= full / 2, values - full, values)
     return values * channel.sign
 
@@ -244,18 +246,17 @@ def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constan
     values = _signed(channel, table)
     if channel.times is not None:
         values = values * table.column(channel.times)
-    return values * factor
+    values = values * factor
+    checks.check_size(values, table.label(channel.column), key)
+    return values
 
 
 def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tuple[Array, str]:
     """Return the joint's position or velocity in SI units, shape (n,), and the step in words."""
     if channel.side is None and (drive.ratio != 1 or drive.motion != drive.motor_motion):
-        raise BadInput(
-            table.label(channel.column),
-            f"the {key}'s side is not given, and the gear ratio is {drive.ratio:g}"
-            + ("" if drive.motion == drive.motor_motion else " from turning to sliding"),
-            'set side = "motor" or side = "joint"',
-        )
+        slides = "" if drive.motion == drive.motor_motion else " from turning to sliding"
+        problem = f"the {key}'s side is not given, and the gear ratio is {drive.ratio:g}{slides}"
+        raise BadInput(table.label(channel.column), problem, 'set side = "motor" or side = "joint"')
     motor = channel.side == "motor"
     motion = drive.motor_motion if motor else drive.motion
     kinds = VELOCITY if isinstance(channel, Velocity) else POSITION
@@ -274,12 +275,10 @@ def recorded_time(source: Columns, table: Table, count: int) -> Array:
         assert source.rate is not None
         return np.arange(count) / source.rate
     time = _scaled(source.time, table, "time", "time")
-    where = table.label(source.time.column)
-    check_order(time, where, table.row)
-    checks.check_size(time, where, "time")
+    table.check_order(time, source.time.column)
     since = np.asarray(time - time[0]) if count else time
     # steps far smaller than the stamps themselves are lost
-    check_order(since, where, table.row)
+    table.check_order(since, source.time.column)
     return since
 
 
@@ -296,8 +295,9 @@ def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
 
 def _count_warnings(source: Columns, table: Table, chosen: slice) -> Iterator[str]:
     """Warn of whole numbers in a unit that is not counted in."""
+    measured_in = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
     for key, channel in source.channels.items():
-        if channel.unit not in _NOT_COUNTED or channel.times is not None or key == "temperature":
+        if channel.unit not in measured_in or channel.times is not None or key == "temperature":
             continue
         constant = channel.constant if isinstance(channel, Torque) else None
         if constant is None and checks.whole_numbers(table.column(channel.column)[chosen]):
@@ -312,20 +312,17 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
     """Read what acts on the joint in addition to the motor: mass, temperature, load torque."""
     temperature = load_torque = None
     if (channel := source.temperature) is not None:
-        if channel.unit not in _ZERO:
-            raise BadInput(
-                f"{table.label(channel.column)}, unit of temperature",
-                f"'{channel.unit}' is no temperature",
-                "write 'degC' or 'K'",
-            )
-        degrees = _signed(channel, table) - _ZERO[channel.unit]
+        zero = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
+        if channel.unit not in zero:
+            where = f"{table.label(channel.column)}, unit of temperature"
+            raise BadInput(where, f"'{channel.unit}' is no temperature", "write 'degC' or 'K'")
+        degrees = _signed(channel, table) - zero[channel.unit]
         checks.check_size(degrees, table.label(channel.column), "temperature")
         temperature = Signal(grid.time, grid.linear(degrees))
         low, high = temperature.values.min(), temperature.values.max()
         steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
     if (channel := source.load_torque) is not None:
         values = _scaled(channel, table, TORQUE[drive.motion], "load_torque")
-        checks.check_size(values, table.label(channel.column), "load torque")
         load_torque = Signal(grid.time, grid.linear(values))
         steps.append(f"load {TORQUE[drive.motion]}: as measured")
     return Inputs(
@@ -359,18 +356,11 @@ def _excluded(
 # --- torque of the motor ------------------------------------------------------------------------
 
 
-class _RecordedTorque(NamedTuple):
-    """The motor's torque as a recording gives it; the law is on the file's stamps."""
+def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effort, str, Law, str]:
+    """Take the torque from its channel, from current or voltage, or from a position target.
 
-    channel: Effort
-    kind: str  # what was measured: torque, force, current or voltage
-    law: Law
-    step: str  # how the torque is computed, in words
-    torque_constant: float | None = None  # torque per current, of a measured current
-
-
-def _recorded_torque(source: Columns, table: Table, drive: Drive) -> _RecordedTorque:
-    """Take the torque from its channel, from current or voltage, or from a position target."""
+    Returns the channel, what was measured, the law on the file's stamps, and the step in words.
+    """
     kind = TORQUE[drive.motor_motion]
     if (channel := source.torque) is not None:
         constant = [] if channel.constant is None else [channel.constant]
@@ -381,28 +371,24 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> _RecordedTo
             if constant[0].endswith("/V"):
                 step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
                 step += "loss, and the key voltage takes it off"
-        law = Law(torque, np.ones(torque.shape), held=bool(channel.held))
-        return _RecordedTorque(channel, kind, law, step)
-    if source.current is not None:
-        command = _scaled(source.current, table, "current", "current")
-        scale, _, formula = _motor("current", source.current, table, drive)
-        law = Law(command * scale, np.ones(command.shape), held=bool(source.current.held))
-        return _RecordedTorque(source.current, "current", law, f"{kind}: {formula}", scale)
-    if source.voltage is not None:
-        command = _scaled(source.voltage, table, "voltage", "voltage")
-        scale, back_emf, formula = _motor("voltage", source.voltage, table, drive)
-        held = bool(source.voltage.held)
-        law = Law(command, np.full(command.shape, scale), back_emf=back_emf, held=held)
-        return _RecordedTorque(source.voltage, "voltage", law, f"{kind}: {formula}")
+        return channel, kind, Law(torque, np.ones(torque.shape), held=channel.held), step
+    if (motor := source.current or source.voltage) is not None:
+        gives: units.Kind = "current" if isinstance(motor, Current) else "voltage"
+        command = _scaled(motor, table, gives, gives)
+        factor, back_emf, formula = _motor(gives, motor, table, drive)
+        scale = np.full(command.shape, factor)
+        law = Law(command, scale, back_emf=back_emf, held=motor.held)
+        return motor, gives, law, f"{kind}: {formula}"
     assert source.target is not None
-    return _target_law(source.target, table, drive)
+    target_law, gives, step = _target_law(source.target, table, drive)
+    return source.target, "voltage" if gives == "share" else gives, target_law, step
 
 
-def _target_law(target: Target, table: Table, drive: Drive) -> _RecordedTorque:
-    """Read the law of a position-controlled drive.
+def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.Kind, str]:
+    """Read the law of a position-controlled drive, what its controller gives, and the step.
 
-    The unit of the gains says what its controller gives: the motor's torque, current, voltage, or
-    the duty of a supply.
+    The unit of the gains says what that is: the motor's torque, current, voltage, or the duty of a
+    supply.
     """
     where, kind = table.label(target.column), TORQUE[drive.motor_motion]
     motion = drive.motor_motion if target.side == "motor" else drive.motion
@@ -426,11 +412,10 @@ def _target_law(target: Target, table: Table, drive: Drive) -> _RecordedTorque:
         scale = scale * table.column(target.times) * unit
     kp, kd = kp * to_side, kd * to_side
     # no drive holds a mean over the sample
-    held = bool(target.held) and target.sampled == "instant"
-    law = Law(kp * goal, scale, kp, kd, limit, back_emf, held=held)
+    held = target.held and target.sampled == "instant"
     step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
     step += f"; {formula}" if formula else ""
-    return _RecordedTorque(target, "voltage" if gives == "share" else gives, law, step)
+    return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step
 
 
 def _motor(
@@ -460,15 +445,6 @@ def _gain(
             return kind, units.product([text, units.si(per)], [kind])
     wanted = ", ".join(f"'{units.si(kind) or 1}/({units.si(per)})'" for kind in kinds)
     raise BadInput(where, f"'{text}' is no gain", f"give it in one of {wanted}")
-
-
-def _centred(signal: Array, sampled: str, grid: Grid, length: float) -> Array:
-    """Shift means over ``length`` samples, stamped at their start or end, to their middles."""
-    shift = {"start": 0.5, "end": -0.5}.get(sampled, 0.0) * length
-    out = signal.copy()
-    for a, b in grid.segments:
-        out[a:b] = filters.later(signal[a:b], shift)
-    return out
 
 
 def _differentiated(position: Array, grid: Grid, processing: Processing) -> Array:
@@ -506,13 +482,10 @@ def _sha256(source: Columns, table: Table) -> str:
 def _named_files(source: Source, folder: Path) -> list[tuple[Path, str]]:
     """Name the files of a source: by its ``name``, by stem, or by the parts that differ."""
     paths = recorded_files(source, folder)
-    if source.name is not None and len(paths) > 1:
-        raise BadInput(
-            f"name = '{source.name}'",
-            f"one name for {len(paths)} files",
-            "leave name out, or give every file its own entry",
-        )
     if source.name is not None:
+        if len(paths) > 1:
+            where, problem = f"name = '{source.name}'", f"one name for {len(paths)} files"
+            raise BadInput(where, problem, "leave name out, or give every file its own entry")
         return [(paths[0], source.name)]
     absolute = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100  (links stay)
     common = os.path.commonpath([path.parent for path in absolute])

@@ -13,12 +13,8 @@ import numpy as np
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.tables.table import Table
+from bayesfric.recordings.tables import Table
 
-# Most signals of one column.
-_MAX_SIGNALS = 64
-# Columns that number the recordings of a log of several.
-_EPISODES = ("episode_index", "episode", "episode_id", "run", "trial")
 _DRIVES = ("torque", "current", "voltage")
 # Words for each channel, the most specific first.
 _WORDS = {
@@ -86,37 +82,35 @@ class Named(NamedTuple):
     unit: str  # empty if unknown
 
 
-class _Signal(NamedTuple):
-    column: str
-    values: Array
-    name: Named
-
-
 def recognise(table: Table, joint: str | None = None) -> Log:
     """Choose the columns of one joint, which may be named, by their names."""
     table, where = _one_episode(table)
-    signals = sorted((s for s in _signals(table) if not s.name.wanted), key=lambda s: s.name.rank)
-    joints = tuple(dict.fromkeys(s.name.joint for s in signals if s.name.channel == "position"))
+    signals = sorted((s for s in _signals(table) if not s[2].wanted), key=lambda s: s[2].rank)
+    joints = tuple(dict.fromkeys(name.joint for *_, name in signals if name.channel == "position"))
     label = next((j for j in joints if joint is None or j.lower() == joint.lower()), None)
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
     chosen: dict[str, Chosen] = {}
     for channel in ("time", "position", "velocity", *_DRIVES):
-        of = [s for s in signals if s.name.channel == channel]
-        if channel == "time":
-            of = [s for s in of if np.all(np.diff(s.values) > 0.0)]
-        if not of or (channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES)):
+        if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
             continue
-        # the joint's, or else one without a joint
-        first = min(of, key=lambda s: (s.name.joint != label, s.name.joint != ""))
-        chosen[channel] = Chosen(first.column, first.name.unit)
+        of = [
+            (column, name)
+            for column, values, name in signals
+            if name.channel == channel and (channel != "time" or np.all(np.diff(values) > 0.0))
+        ]
+        if of:
+            # the joint's, or else one without a joint
+            column, name = min(of, key=lambda s: (s[1].joint != label, s[1].joint != ""))
+            chosen[channel] = Chosen(column, name.unit)
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
     return Log(chosen, columns, label or "", joints if len(joints) > 1 else (), where)
 
 
 def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
-    for name in _EPISODES:
+    """Select the first of several recordings in a log, where a column numbers them."""
+    for name in ("episode_index", "episode", "episode_id", "run", "trial"):
         with suppress(BadInput):  # there is none, or it holds text
             numbers = table.column(name)
             if np.ptp(numbers) > 0.0:
@@ -125,23 +119,20 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
     return table, {}
 
 
-def _signals(table: Table) -> Iterator[_Signal]:
+def _signals(table: Table) -> Iterator[tuple[str, Array, Named]]:
     """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
         if not named(name).channel:
             continue
-        keys = [name]
-        try:
-            table.column(name)
-        except BadInput:
-            # the fourth signal of three is refused, which ends a column of several
-            keys = [f"{name}[{k}]" for k in range(_MAX_SIGNALS)]
-            # a message that names its joints may have them in any order
-            if any(other.startswith(f"{name}[") for other in table.names):
-                continue
         with suppress(BadInput):
-            for key in keys:
-                yield _Signal(key, table.column(key), named(key, written))
+            yield name, table.column(name), named(name, written)
+            continue
+        # a message that names its joints may have them in any order
+        if any(other.startswith(f"{name}[") for other in table.names):
+            continue
+        with suppress(BadInput):  # the fourth signal of three, which ends a column of several
+            for key in (f"{name}[{k}]" for k in range(64)):
+                yield key, table.column(key), named(key, written)
 
 
 def named(name: str, written: str = "") -> Named:

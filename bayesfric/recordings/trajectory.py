@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, Index, without_excluded
 from bayesfric.recordings.measurement import Hold, Inputs, Measurement
-from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.observation import Observation
 
-# Shorter segments do not determine much more than their two initial states.
+# Fewer samples of a segment determine not much more than its two initial states.
 _LEAST_SAMPLES = 20
 
 
@@ -28,19 +26,19 @@ class Trajectory:
     position: Array  # (N,) of the joint as measured, not filtered, rad or m
     torque: Array  # (N,) of the motor as measured, not filtered, N m or N
     period: float  # s
-    segments: NDArray[np.int64]  # (K, 2) half-open ranges of samples
+    segments: Index  # (K, 2) half-open ranges of samples
     q0: Array  # (K,) starting values of position and speed at each segment's first sample
     qd0: Array
     inputs: Inputs
     hold: Hold = "linear"  # interpolation of the torque between samples
 
     @property
-    def samples(self) -> NDArray[np.int64]:
+    def samples(self) -> Index:
         """Samples inside the segments, in order."""
         return np.concatenate([np.arange(a, b) for a, b in self.segments])
 
     @property
-    def segment_of(self) -> NDArray[np.int64]:
+    def segment_of(self) -> Index:
         """Segment of every sample in :attr:`samples`."""
         return np.repeat(np.arange(len(self.segments)), np.diff(self.segments, axis=1)[:, 0])
 

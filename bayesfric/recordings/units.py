@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -17,48 +17,31 @@ from bayesfric.base.errors import BadInput, Unfit
 if TYPE_CHECKING:
     import pint
 
+# fmt: off
 Kind = Literal[
-    "time",
-    "angle",
-    "length",
-    "angular_speed",
-    "speed",
-    "torque",
-    "force",
-    "current",
-    "voltage",
-    "resistance",
-    "frequency",
-    "mass",
-    "torque_constant",
-    "force_constant",
-    "share",
+    "time", "angle", "length", "angular_speed", "speed", "torque", "force", "current", "voltage",
+    "resistance", "frequency", "mass", "torque_constant", "force_constant", "share",
 ]
+# fmt: on
 
 
-class _Kind(NamedTuple):
-    """The SI unit of a kind of quantity, and an example for messages."""
-
-    unit: str
-    example: str
-
-
-_KINDS: dict[Kind, _Kind] = {
-    "time": _Kind("s", "a time like 's' or '5 ms'"),
-    "angle": _Kind("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
-    "length": _Kind("m", "a length like 'm' or '2.5 mm'"),
-    "angular_speed": _Kind("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
-    "speed": _Kind("m/s", "a speed like 'm/s' or 'mm/s'"),
-    "torque": _Kind("N m", "a torque like 'N m' or '9.84e-5 N m'"),
-    "force": _Kind("N", "a force like 'N'"),
-    "current": _Kind("A", "a current like 'A' or 'mA'"),
-    "voltage": _Kind("V", "a voltage like 'V' or 'V/885'"),
-    "resistance": _Kind("ohm", "a resistance like '3.4 ohm'"),
-    "frequency": _Kind("Hz", "a frequency like '100 Hz'"),
-    "mass": _Kind("kg", "a mass like '2 kg'"),
-    "torque_constant": _Kind("N m/A", "a torque constant like '0.32 N m/A'"),
-    "force_constant": _Kind("N/A", "a force constant like '35 N/A'"),
-    "share": _Kind("", "a plain number like '1' or '0.9'"),
+# The SI unit of a kind of quantity, and an example for messages.
+_KINDS: dict[Kind, tuple[str, str]] = {
+    "time": ("s", "a time like 's' or '5 ms'"),
+    "angle": ("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
+    "length": ("m", "a length like 'm' or '2.5 mm'"),
+    "angular_speed": ("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
+    "speed": ("m/s", "a speed like 'm/s' or 'mm/s'"),
+    "torque": ("N m", "a torque like 'N m' or '9.84e-5 N m'"),
+    "force": ("N", "a force like 'N'"),
+    "current": ("A", "a current like 'A' or 'mA'"),
+    "voltage": ("V", "a voltage like 'V' or 'V/885'"),
+    "resistance": ("ohm", "a resistance like '3.4 ohm'"),
+    "frequency": ("Hz", "a frequency like '100 Hz'"),
+    "mass": ("kg", "a mass like '2 kg'"),
+    "torque_constant": ("N m/A", "a torque constant like '0.32 N m/A'"),
+    "force_constant": ("N/A", "a force constant like '35 N/A'"),
+    "share": ("", "a plain number like '1' or '0.9'"),
 }
 
 # Kinds of a sliding joint in place of those of a turning one.
@@ -144,9 +127,9 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
 def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
     """Read a product of scalars with their units, of one of some kinds, in SI, or raise `Unfit`."""
     # recordings are mostly in SI units, and then need no pint
-    if any(list(texts) == [_KINDS[kind].unit] for kind in kinds):
+    if any(list(texts) == [_KINDS[kind][0]] for kind in kinds):
         return 1.0
-    expected = " or ".join(_KINDS[kind].example for kind in kinds)
+    expected = " or ".join(_KINDS[kind][1] for kind in kinds)
     factor = 1.0
     powers = Counter[str]()
     for text in texts:
@@ -169,12 +152,12 @@ def _of(powers: Counter[str], kind: Kind) -> bool:
     # a torque constant is also quoted as its reciprocal speed constant, V s/rad
     ignored = {"radian"} if kind == "torque_constant" else set[str]()
     dimension = {name: power for name, power in powers.items() if power and name not in ignored}
-    return dimension == _base(_KINDS[kind].unit)[1]
+    return dimension == _base(_KINDS[kind][0])[1]
 
 
 def si(kind: Kind) -> str:
     """Name the unit that a kind is counted in."""
-    return _KINDS[kind].unit
+    return _KINDS[kind][0]
 
 
 def _listed(texts: Sequence[str]) -> str:

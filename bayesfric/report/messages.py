@@ -6,13 +6,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from bayesfric.identifiability.identification import SpeedTerm
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.doubts import references_off
 from bayesfric.report.summary.record import Message, Readable, Summary
-from bayesfric.report.summary.rows import FEWEST, RollOutPart
 from bayesfric.report.words import line_of
+from bayesfric.results.roll_out import FEWEST, RollOutPart
 
 
 def roll_out_messages(rollout: RollOutPart) -> dict[str, dict[str, Any]]:
@@ -48,8 +47,7 @@ def messages_of(read: Readable, contested: Sequence[str] | None = None) -> tuple
         messages += [_message(kind, {**values, "severity": "note"}) for kind, values in notes]
     remarks = [("warning", text) for text in _gathered(summary)]
     if (emf := summary.fit.back_emf) is not None:
-        term = SpeedTerm(**emf.model_dump(exclude={"among"}))
-        remarks.append(("back-EMF", term.meaning))
+        remarks.append(("back-EMF", emf.meaning))
     if summary.may_be_simulated:
         remarks.append(("simulated", line_of("simulated")))
     messages += [Message(kind=kind, severity="note", remark=text) for kind, text in remarks]

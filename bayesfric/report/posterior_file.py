@@ -18,14 +18,8 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.summary.derived_quantities import Group, coefficients
-from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow, Summary
 
-# Draws of the groups that hold a number for every draw and every output: at most, at least,
-# and between them as many as make so many numbers.
-_POINTWISE_DRAWS, _LEAST_DRAWS, _POINTWISE = 400, 12, 1_000_000
-# Draws that allow for model discrepancy.
-_WIDENED_DRAWS = 4000
 # Groups whose variables are parameters and derived quantities, in their units.
 _IN_UNITS = ("posterior", "derived", "prior", "widened")
 
@@ -57,7 +51,7 @@ def posterior_tree(
     else:
         groups = {"posterior": _subset(posterior, derived, draws)}
     if fit.wide is not fit:
-        groups["widened"] = _subset(fit.wide.posterior, derived, draws or _WIDENED_DRAWS)
+        groups["widened"] = _subset(fit.wide.posterior, derived, draws or 4000)
     groups["prior"] = {
         # of a light run for a density that is smoothed anyway
         name: prior.draw(draws or 2000, rng)[None].astype(np.float32 if draws else np.float64)
@@ -128,12 +122,17 @@ def _subset(posterior: Posterior, derived: Group, draws: int) -> Arrays:
     return {name: x[None] for name, x in (parameters | derived.named(flat)).items()}
 
 
-def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[Arrays, Arrays]:
-    """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``."""
+def _pointwise(
+    fit: Fit, rng: np.random.Generator, *, draws: tuple[int, int] = (12, 400), size: int = 1_000_000
+) -> tuple[Arrays, Arrays]:
+    """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``.
+
+    At least and at most so many ``draws``, between them as many as make arrays of a ``size``.
+    """
     e, w, s, d = fit.posterior.draws.shape
     each = fit.posterior.draws.reshape(e, w * s, d)
     outputs = sum(o.measured.size for o in fit.target.likelihood.outputs)
-    most = max(min(_POINTWISE_DRAWS, _POINTWISE // outputs), _LEAST_DRAWS) // e
+    most = max(min(draws[1], size // outputs), draws[0]) // e
     n = min(w * s, max(most, 1))
     picked = each[:, np.linspace(0, w * s - 1, n).astype(int)]
     flat = picked.reshape(-1, d)

@@ -8,13 +8,14 @@ from typing import Any, Literal
 
 from bayesfric.estimates.point_estimate import HALF, Bound
 from bayesfric.report.numbers import Medium, finer
-from bayesfric.report.summary.conclusions import bound_hint, put_reported
 from bayesfric.report.summary.derived_quantities import described_as
-from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.rows import (
+from bayesfric.report.summary.doubts import bound_hint
+from bayesfric.report.summary.record import (
     Described,
-    EstimatedRow,
     PosteriorRow,
+    Readable,
+    Summary,
+    ValueRow,
     is_skewed,
     sd_towards,
 )
@@ -158,26 +159,24 @@ class ResultRow:
             yield "open" if self.status == "undetermined" else "quiet", self.remark
 
 
-def estimate_row(name: str, row: EstimatedRow, converged: bool = True) -> ResultRow:
+def estimate_row(name: str, row: ValueRow, converged: bool = True) -> ResultRow:
     """Judge one number of a point estimate, whose search converged or did not."""
-    what: dict[str, Any] = {"name": name, **described_as(row)}
+    what: dict[str, Any] = {"value": row.value, "name": name, **described_as(row)}
     if not converged:
         remark = "the search has not converged"
-        return ResultRow(row.value, "undetermined", remark=remark, converged=False, **what)
-    if row.sd is None or row.determined is False or row.at_bound is not None:
-        # a scaling does not move a zero away from its bound
-        span = row.span if row.span is not None and row.span[0] < row.span[1] else None
-        if span is not None:
-            low, high = span
-            remark = f"not determined: {low:.3g} to {high:.3g} fit as well"
-            return ResultRow(row.value, "undetermined", span=(low, high), remark=remark, **what)
-        if row.at_bound is not None:
-            return ResultRow(row.value, "bound", remark=f"at its {row.at_bound} bound", **what)
-        return ResultRow(row.value, "undetermined", remark="not determined", **what)
-    if row.sd_robust is None:
-        return ResultRow(row.value, "determined", sd=row.sd, sd_plain=row.sd, **what)
-    what |= {"sd": row.sd_robust, "sd_plain": row.sd, "accounts": True}
-    return ResultRow(row.value, "determined", **what)
+        return ResultRow(status="undetermined", remark=remark, converged=False, **what)
+    if row.sd is not None and row.determined is not False and row.at_bound is None:
+        accounts = row.sd_robust is not None
+        what |= {"sd": row.sd_robust if accounts else row.sd, "sd_plain": row.sd}
+        return ResultRow(status="determined", accounts=accounts, **what)
+    # a scaling does not move a zero away from its bound
+    if row.span is not None and row.span[0] < row.span[1]:
+        low, high = row.span
+        remark = f"not determined: {low:.3g} to {high:.3g} fit as well"
+        return ResultRow(status="undetermined", span=(low, high), remark=remark, **what)
+    if row.at_bound is not None:
+        return ResultRow(status="bound", remark=f"at its {row.at_bound} bound", **what)
+    return ResultRow(status="undetermined", remark="not determined", **what)
 
 
 def posterior_row(name: str, row: PosteriorRow, accounts: bool) -> ResultRow:
@@ -186,9 +185,8 @@ def posterior_row(name: str, row: PosteriorRow, accounts: bool) -> ResultRow:
     ``accounts`` is whether the noise model accounts for correlated residuals.
     """
     reported = row.reported
-    assert reported is not None  # put_reported concludes of every run
     what: dict[str, Any] = {"name": name, **described_as(row), "posterior": row}
-    if not reported.how.converged:
+    if not row.converged:
         remark = "the sampling has not converged"
         return ResultRow(row.value, "undetermined", remark=remark, converged=False, **what)
     doubted = bool(row.doubted)
@@ -241,5 +239,5 @@ def _weak_by(row: PosteriorRow) -> str:
 
 def result_rows(summary: Readable) -> dict[str, ResultRow]:
     """Judge every parameter and derived quantity of a summary, by name."""
-    read = put_reported(Summary.read(summary))
+    read = Summary.read(summary)
     return {name: posterior_row(name, row, read.accounts) for name, row in read.rows.items()}

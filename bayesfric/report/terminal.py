@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayesfric.mechanism.parameter import quantity_of
+from bayesfric.mechanism.quantities import quantity_of
 from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
-from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.parts import friction_cells, off_rows
 from bayesfric.report.summary.record import Message, Readable, Summary, of_noise
 from bayesfric.report.words import filled
@@ -59,14 +58,13 @@ class Brief:
 
 def brief(summary: Readable, messages: Sequence[Message] | None = None) -> Brief:
     """Put the short answer of a summary together; its ``messages`` are made where left out."""
-    read = put_reported(Summary.read(summary))
+    read = Summary.read(summary)
     derived = [name for name, row in read.derived.items() if not row.gauge_free]
     rows = {
-        name: reported
+        name: read.rows[name].reported
         for name in (*read.gauge_free, *read.parameters, *derived)
         # in tables only: the noise, and efficiencies, which alphas are already
         if not (of_noise(name) or quantity_of(name).startswith("efficiency"))
-        and (reported := read.rows[name].reported) is not None
     }
     shown = [
         name
@@ -79,7 +77,7 @@ def brief(summary: Readable, messages: Sequence[Message] | None = None) -> Brief
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
     directions = read.identifiability.null_directions
     scaled = any(len(direction.parameters) > 1 for direction in directions)
-    lost = tuple(name for name, row in rows.items() if not row.how.converged)
+    lost = tuple(name for name, row in rows.items() if not read.rows[name].converged)
     messages = messages_of(read) if messages is None else messages
     findings = list(dict.fromkeys(message.brief for message in messages if message.brief))
     return Brief(
@@ -166,7 +164,7 @@ class PrintedSummary(Summary):
 
 def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     """Print a summary, line by line; ``verbose`` with how it was made."""
-    read = put_reported(Summary.read(summary))
+    read = Summary.read(summary)
     messages = messages_of(read)
     answer = brief(read, messages)
     table = [("", "value", "sd", answer.level, "", "status"), *answer.lines]
@@ -183,7 +181,7 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             "fit.txt.j2",
             summary=read,
             messages=messages,
-            rows={n: r for n, r in read.rows.items() if r.reported and not r.of_motion},
+            rows={n: r for n, r in read.rows.items() if not r.of_motion},
             noise=read.noise,
             validation=read.validation,
             check=read.self_check,

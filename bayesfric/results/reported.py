@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
@@ -20,26 +19,6 @@ KNOWN_BY: dict[Determined, Status] = {
 }
 # Statuses in the order in which tables have them.
 ORDER: tuple[Status, ...] = ("identified", "doubtful", "limit", "prior", "unidentified")
-
-
-class Spread(NamedTuple):
-    """Value, ends of the interval and standard deviation."""
-
-    value: float
-    low: float
-    high: float
-    sd: float
-
-
-class How(BaseModel):
-    """How a reported number was made: the posterior's own, and what was changed of it."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    posterior: list[FiniteFloat]  # value, low, high and sd, were the model right
-    widened: bool = False  # whether the interval allows for model discrepancy
-    findings: list[str] = []  # kinds that move it by more than its interval
-    converged: bool = True  # whether the sampling of this number converged
 
 
 class Reported(BaseModel):
@@ -59,49 +38,16 @@ class Reported(BaseModel):
     status: Status
     bound: FiniteFloat | None = None
     at_most: bool | None = None
-    how: How
 
+    @property
+    def low(self) -> float:
+        """Lower end of the interval."""
+        return self.interval[0]
 
-def concluded(
-    posterior: Spread,
-    *,
-    verdict: Determined,
-    own_prior: bool = False,
-    converged: bool = True,
-    widened: Spread | None = None,
-    limit: Literal["lower", "upper"] | None = None,
-    findings: Sequence[str] = (),
-) -> Reported:
-    """Join the parts of one number into what is reported.
-
-    ``own_prior`` is whether the user gave its prior, ``widened`` its spread with model discrepancy,
-    ``limit`` the bound that the data push it against, ``findings`` the kinds that make it doubtful.
-    """
-    printed = widened or posterior
-    status: Status = KNOWN_BY[verdict]
-    if verdict == "prior" and own_prior:
-        status = "prior"
-    if limit is not None:
-        status = "limit"
-    if findings and status != "unidentified":
-        status = "doubtful"
-    if not converged:
-        status, limit = "unidentified", None
-    bound = None if limit is None else printed.high if limit == "lower" else printed.low
-    return Reported(
-        value=printed.value,
-        sd=printed.sd,
-        interval=[printed.low, printed.high],
-        status=status,
-        bound=bound,
-        at_most=None if limit is None else limit == "lower",
-        how=How(
-            posterior=list(posterior),
-            widened=widened is not None,
-            findings=list(findings),
-            converged=converged,
-        ),
-    )
+    @property
+    def high(self) -> float:
+        """Upper end of the interval."""
+        return self.interval[1]
 
 
 Outcome = Literal["good", "usable", "unchecked", "doubtful", "not converged"]
@@ -109,12 +55,7 @@ Outcome = Literal["good", "usable", "unchecked", "doubtful", "not converged"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a run can be used.
-
-    ``usable`` where the model lacks something that intervals allow for, ``unchecked`` where missing
-    effects could not be tested, ``doubtful`` where a finding moves numbers by more than their
-    intervals.
-    """
+    """Whether a run can be used."""
 
     outcome: Outcome
     explained: float | None  # share of the torque's variance that the model explains
@@ -122,21 +63,17 @@ class Verdict:
     doubtful: int  # number of quantities that a finding moves
 
 
-def verdict(
-    *,
-    converged: bool,
-    doubts: int,
-    doubtful: int,
-    asked: int | None,
-    explained: float | None,
-    lacking: bool = False,
-) -> Verdict:
-    """Give the verdict on a run; ``asked`` is ``None`` where no candidate could be tested."""
-    outcome: Outcome = "good" if asked is not None else "unchecked"
-    if lacking:
-        outcome = "usable"
-    if doubts:
-        outcome = "doubtful"
+def outcome_of(*, converged: bool, doubted: bool, lacking: bool, tested: bool) -> Outcome:
+    """Say whether a run can be used.
+
+    ``usable`` where the model lacks something that intervals allow for, ``unchecked`` where missing
+    effects could not be tested, ``doubtful`` where a finding moves numbers by more than their
+    intervals.
+    """
     if not converged:
-        outcome = "not converged"
-    return Verdict(outcome, explained, asked or 0, doubtful)
+        return "not converged"
+    if doubted:
+        return "doubtful"
+    if lacking:
+        return "usable"
+    return "good" if tested else "unchecked"

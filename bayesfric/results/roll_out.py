@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.results.reported import LEVEL as LEVEL
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -19,16 +21,19 @@ Part = Literal["fitted", "held out", "new"]
 Which = Literal["at_position", "at_speed"]
 WHICH: dict[Which, str] = {"at_position": "", "at_speed": "/s"}
 
-LEVEL = 0.9
-# Share of the time in which bands may be as wide as anything that moves, before they say nothing.
-BLIND = 0.2
 # Share of the simulations that may go another way over the top, as few as a band leaves out.
 MOST_OVER = 1.0 - LEVEL
+# Share inside 90 % bands below which they are called too narrow. Positions within a second of each
+# other are nearly one, so that few recordings may well leave their bands for a tenth of the time.
+FEWEST = 0.8
 
 
-def tells_nothing(blind: float, over: float) -> bool:
-    """Whether bands are too wide to judge by, from the shares of :class:`Rolled`."""
-    return blind > BLIND or over > MOST_OVER
+def tells_nothing(blind: float, over: float, *, most_blind: float = 0.2) -> bool:
+    """Whether bands are too wide to judge by, from the shares of :class:`Rolled`.
+
+    They may be as wide as anything that moves for a share ``most_blind`` of the time.
+    """
+    return blind > most_blind or over > MOST_OVER
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +45,43 @@ class Error:
     inside: float  # share of samples inside the band
     inside_alone: float  # and inside that of the parameters alone
     width: float  # median width of the band
+
+
+@dataclass(frozen=True)
+class RollOutRow:
+    """What ``summary.json`` holds of one recording, or of all together."""
+
+    position: Error
+    speed: Error
+    blind: float = 0.0  # share of the time in which the position's band is too wide
+    over: float = 0.0  # share of the draws that went another way over the top
+    part: Part | None = None
+    input: Input | None = None
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the position leaves its bands far too often."""
+        return self.position.inside < FEWEST
+
+    @property
+    def wide(self) -> bool:
+        """Whether being inside the position's band says nothing."""
+        return tells_nothing(self.blind, self.over)
+
+
+@dataclass(frozen=True)
+class RollOutPart:
+    """What ``summary.json`` holds of recordings simulated with draws of the posterior."""
+
+    recordings: dict[str, RollOutRow]
+    pooled: RollOutRow
+    unit: str  # of the position
+    level: float
+    draws: int
+    seed: int
+    unexplained: dict[str, float]
+    left: float
+    torque_unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +140,28 @@ class RollOut:
             mean["rmse"] = float(np.sqrt(np.mean([row["rmse"] ** 2 for row in rows])))
             pooled[which] = Error(**mean)
         return pooled
+
+    @property
+    def summary(self) -> RollOutPart:
+        """Its numbers for ``summary.json``."""
+        rows = {
+            r.name: RollOutRow(r.at_position, r.at_speed, r.blind, r.over, r.part, r.input)
+            for r in self.rolled
+        }
+        blind = sum(row.blind for row in rows.values()) / len(rows)
+        over = sum(row.over for row in rows.values()) / len(rows)
+        pooled = RollOutRow(self.pooled["at_position"], self.pooled["at_speed"], blind, over)
+        return RollOutPart(
+            rows,
+            pooled,
+            self.rolled[0].unit,
+            self.level,
+            self.draws,
+            self.seed,
+            self.unexplained,
+            self.left,
+            self.torque_unit,
+        )
 
     @property
     def frame(self) -> pd.DataFrame:

@@ -14,20 +14,19 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.fit.finished_run import Finished, finished
+from bayesfric.fit.result import Result, result_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.convergence import autocorrelation
-from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.problem.problem import Problem
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, without_excluded
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law, Measurement
-from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Recording
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 
@@ -118,7 +117,7 @@ def rollout(
     BadInput
         If there is no such run, a recording has no segment to simulate, or no draw has a motion.
     """
-    run = finished(posterior)
+    run = result_of(posterior)
     if recordings is None:
         prepared = recordings_of_run(run, every=every)
     elif isinstance(recordings, str | Path):
@@ -164,7 +163,7 @@ def rollout(
 
 
 def _simulate(
-    run: Finished,
+    run: Result,
     recording: PreparedRecording,
     values: Array,
     disturbance: Array | None,
@@ -241,7 +240,7 @@ def _pendulum(joint: Joint) -> bool:
 
 
 def _compare(
-    run: Finished, recording: PreparedRecording, without: _Simulated, disturbed: _Simulated
+    run: Result, recording: PreparedRecording, without: _Simulated, disturbed: _Simulated
 ) -> Rolled:
     """Compare simulated motions, without and with residual torque, with the measured one."""
     m, o, chain, used = recording.measurement, recording.observation, run.joint, recording.used
@@ -308,7 +307,7 @@ def _bands(
     return band, narrow, middle, error
 
 
-def recordings_of_run(run: Finished, *, every: bool = False) -> list[PreparedRecording]:
+def recordings_of_run(run: Result, *, every: bool = False) -> list[PreparedRecording]:
     """List the held-out recordings of a run; the fitted ones if there is none, or ``every``."""
     model = run.model
     held_out = [PreparedRecording(x.recording, x.observation, "held out") for x in model.held_out]
@@ -318,7 +317,7 @@ def recordings_of_run(run: Finished, *, every: bool = False) -> list[PreparedRec
     return [*held_out, *(PreparedRecording(m, o, "fitted") for m, o in pairs)]
 
 
-def recordings_of_config(run: Finished, path: Path) -> list[PreparedRecording]:
+def recordings_of_config(run: Result, path: Path) -> list[PreparedRecording]:
     """Read the recordings of another configuration; mechanism and processing may be left out."""
     tables = tomllib.loads(run.model.config.text)
     document = read_document(read_toml(path), path)
@@ -336,7 +335,7 @@ def recordings_of_config(run: Finished, path: Path) -> list[PreparedRecording]:
     return _prepared(run, config, None)
 
 
-def prepared_recordings(run: Finished, recordings: Sequence[Recording]) -> list[PreparedRecording]:
+def prepared_recordings(run: Result, recordings: Sequence[Recording]) -> list[PreparedRecording]:
     """Prepare recordings made in Python as the run's."""
     tables = tomllib.loads(run.model.config.text)
     document: dict[str, Any] = {k: tables[k] for k in ("mechanism", "processing") if k in tables}
@@ -345,7 +344,7 @@ def prepared_recordings(run: Finished, recordings: Sequence[Recording]) -> list[
 
 
 def _prepared(
-    run: Finished, config: Config, recordings: Sequence[Recording] | None
+    run: Result, config: Config, recordings: Sequence[Recording] | None
 ) -> list[PreparedRecording]:
     problem = Problem.from_config(config, terms=run.joint.terms, recordings=recordings)
     parts = [*zip(problem.recordings, problem.observations, strict=True)]
@@ -353,7 +352,7 @@ def _prepared(
     return [PreparedRecording(m, o, _part(run, m)) for m, o in parts]
 
 
-def _part(run: Finished, m: Measurement) -> Part:
+def _part(run: Result, m: Measurement) -> Part:
     """Whether any part of a recording was fitted, also under another name."""
     same = (fitted for fitted in run.model.recordings if fitted.sha256 == m.sha256)
     overlap = any(x.time[0] <= m.time[-1] and m.time[0] <= x.time[-1] for x in same)
@@ -368,7 +367,7 @@ class Residuals:
     period: float
 
 
-def torque_residuals(run: Finished) -> list[Residuals]:
+def torque_residuals(run: Result) -> list[Residuals]:
     """Compute the torque residuals of every fitted recording."""
     likelihood = TorqueLikelihood(run.joint, run.model.observations)
     predicted = likelihood.predict(run.values(run.picked(_DRAWS)))

@@ -33,8 +33,8 @@ from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.inference.fitting import fit, target_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
-from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.noise import Autoregressive
+from bayesfric.inference.priors import read_prior
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 

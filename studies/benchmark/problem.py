@@ -25,12 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.fitting import make_target
-from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.priors import Prior, read_prior
 from bayesfric.inference.sampling.start import climb, gauss_newton
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation

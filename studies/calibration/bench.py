@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
 
 from bayesfric import Element, Joint, Load, Recording, Term
-from bayesfric.mechanism import excitation
-from bayesfric.mechanism.closed_loop import follow
-from bayesfric.mechanism.forward import Motion, simulate
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism import experiment
+from bayesfric.mechanism.forward import Motion, follow, simulate
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Law
 
 Array = NDArray[np.float64]
@@ -121,11 +120,11 @@ def moved(
     period = 1.0 / (bench.rate * steps)
     # 0.1 s before and after, for averages and delays
     time = np.arange(round((bench.duration + 0.2) / period)) * period
-    sines = excitation.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
+    sines = experiment.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
     sines *= (1.0 - drive.square) / np.sqrt(len(LINES) / 2.0)
     phase = 0.0 if drive.in_step else rng.uniform(0.0, 1.0)
-    command = sines + excitation.square(time + phase, drive.square, drive.hertz)
-    torque = excitation.current_loop(drive.amplitude * command, period, drive.lag)
+    command = sines + experiment.square(time + phase, drive.square, drive.hertz)
+    torque = experiment.current_loop(drive.amplitude * command, period, drive.lag)
     # the delay is applied to the measured position, see below
     joint = replace(bench.true or bench.joint, delay=False)
     vector = [truth[name] for name in joint.names]
@@ -138,7 +137,7 @@ def moved(
         vector = [values[name] for name in joint.names]
     inputs = Inputs(drive.added_mass, drive.radius)
     if bench.loop:
-        path = excitation.multisine(time, bench.path, LINES[:-1], seed=int(rng.integers(2**31)))
+        path = experiment.multisine(time, bench.path, LINES[:-1], seed=int(rng.integers(2**31)))
         return _followed(bench, joint, np.array(vector), period, path, inputs)
     motion = simulate(joint, np.array(vector), torque, period, inputs=inputs, substeps=1)
     return motion, time, torque

@@ -33,14 +33,14 @@ from ranks import summary_of
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fitting import fit, make_target
-from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.noise import Autoregressive
+from bayesfric.inference.priors import Prior, read_prior
 from bayesfric.inference.sampling import sampling
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation
@@ -172,13 +172,13 @@ def run_case(task: tuple[str, int]) -> dict[str, Any] | None:
     if case.true is None:  # every step simulates
         settings = settings.model_copy(update={"walkers": 12})
     if case.move == "snooker":
-        settings, ensembles = settings.model_copy(update={"max_steps": 800}), sampling._Ensembles
+        settings, moves = settings.model_copy(update={"max_steps": 800}), sampling._moves
         mix = [(emcee.moves.DEMove(), 0.2), (emcee.moves.DESnookerMove(), 0.8)]
-        sampling._Ensembles = lambda t, _, *rest: ensembles(t, mix, *rest)
+        sampling._moves = lambda *_: mix
         try:
             result = fit(target, settings)
         finally:
-            sampling._Ensembles = ensembles
+            sampling._moves = moves
     else:
         try:
             result = fit(target, settings)

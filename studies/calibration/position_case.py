@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.fitting import target_of
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.priors import Prior, read_prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.forward import simulate_segments
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation

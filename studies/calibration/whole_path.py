@@ -53,7 +53,7 @@ def one(task: tuple[int, str, int]) -> dict[str, Any]:
     rows = {}
     for key, row in summary.rows.items():
         reported = row.reported
-        if reported is None or key not in true or "efficiency" in key:
+        if key not in true or "efficiency" in key:
             continue
         rows[key] = {
             "truth": true[key],
@@ -62,7 +62,7 @@ def one(task: tuple[int, str, int]) -> dict[str, Any]:
             "sd": reported.sd,
             "interval": reported.interval,
             # the posterior alone, and its bias by the calibration check
-            "posterior": reported.how.posterior,
+            "posterior": [row.middle, *row.interval, row.sd],
             "bias": checks[key].bias if key in checks else None,
         }
     return {

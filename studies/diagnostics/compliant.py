@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric import Joint, Recording
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import Motion
 
 Array = NDArray[np.float64]
@@ -48,13 +48,13 @@ class Compliant:
         bench = Bench(self.joint, PLAIN, (DRIVE,), duration=20.0, counts=16384, loop=self.loop)
         truth = bench.truth(rng)
         time = np.arange(round((bench.duration + 0.2) * FINE)) / FINE
-        sines = excitation.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
+        sines = experiment.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
         sines *= (1.0 - DRIVE.square) / np.sqrt(len(LINES) / 2.0)
-        square = excitation.square(time + rng.uniform(), DRIVE.square, DRIVE.hertz)
+        square = experiment.square(time + rng.uniform(), DRIVE.square, DRIVE.hertz)
         torque = DRIVE.amplitude * (sines + square)
-        torque = excitation.current_loop(torque, 1.0 / FINE, DRIVE.lag)
+        torque = experiment.current_loop(torque, 1.0 / FINE, DRIVE.lag)
         if self.loop:  # the target; _moved replaces it by the loop's torque
-            torque = excitation.multisine(
+            torque = experiment.multisine(
                 time, bench.path, LINES[:-1], seed=int(rng.integers(2**31))
             )
         hertz = self.elastic or CONTACT * bool(self.gap)

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesfric.estimates.autoregression import burg, follows, ljung_box, whitened
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.fit.model import Model
-from bayesfric.inference.likelihood.autoregression import burg, ljung_box, whitened
-from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.problem.config import parse_config
 
 CONFIG = Path(__file__).resolve().parent / "emps-white.toml"

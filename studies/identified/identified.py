@@ -88,7 +88,7 @@ def fitted(model: Any, truth: dict[str, float], number: int) -> dict[str, Any]:
     rows = {}
     for name, true in truth.items():
         row = summary.rows.get(name)
-        if row is None or row.reported is None:
+        if row is None:
             continue
         reported = row.reported
         rows[name] = {
@@ -99,7 +99,7 @@ def fitted(model: Any, truth: dict[str, float], number: int) -> dict[str, Any]:
             "interval": reported.interval,
             "bound": reported.bound,
             "z": (reported.value - true) / reported.sd if reported.sd else None,
-            "posterior": reported.how.posterior,
+            "posterior": [row.middle, *row.interval, row.sd],
             "ess": row.ess,
         }
     return {

@@ -24,14 +24,15 @@ if __name__ == "__main__":
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.estimates import METHODS
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.output_error import output_error
-from bayesfric.estimates.point_estimate import METHODS, Estimate, Estimation, Knowledge
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.source import Processing

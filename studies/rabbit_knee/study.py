@@ -17,10 +17,11 @@ import numpy as np
 import xarray as xr
 
 from bayesfric.commands.fit import fit
-from bayesfric.estimates.point_estimate import METHODS, Estimate
+from bayesfric.estimates import METHODS
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Config, read_config
 from bayesfric.report.figures.style import save
 from figures import cutoff_figure, fit_figure, forest

@@ -34,9 +34,9 @@ def rows(config: str) -> list[dict[str, Any]]:
         {
             "name": name,
             "known": known,
-            "printed": [row.value, row.printed.sd, row.printed.low, row.printed.high],
+            "printed": [row.value, row.reported.sd, row.reported.low, row.reported.high],
             "posterior": [row.middle, row.sd, *row.interval],
-            "status": row.reported.status if row.reported else "",
+            "status": row.reported.status,
         }
         for name, known in KNOWN[config].items()
         if (row := summary.parameters.get(name)) is not None

@@ -143,11 +143,11 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
             },
             "posterior": row.sd,
             "HAC": max(row.sd, robust) if robust is not None else row.sd,
-            "reported": row.printed.sd,
-            "interval": [row.printed.low, row.printed.high],
+            "reported": row.reported.sd,
+            "interval": [row.reported.low, row.reported.high],
             # whether its data determine it, by each of its sds, doubted or not
             "determined": row.verdict == "data" or bool(row.doubted),
-            "status": row.reported.status if row.reported else "",
+            "status": row.reported.status,
             "prior": row.prior_sd,
         }
     error = summary.model_error

@@ -11,7 +11,7 @@ from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, measure
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Config, parse_config, read_config
 
 # The error of an sd is then 2 %; a posterior that mixes slowly ends ``tentative``.

@@ -19,7 +19,7 @@ from experiments import experiments
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import Fit, fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.problem.config import read_config
 from bayesfric.report.figures.posterior import ridge, ridge_figure

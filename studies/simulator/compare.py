@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.excitation import current_loop, sine, square
+from bayesfric.mechanism.experiment import current_loop, sine, square
 from bayesfric.mechanism.forward import Motion, simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
 

@@ -52,7 +52,7 @@ def left_out(runs: dict[str, tuple[Summary, RunDraws]]) -> dict[str, list[dict[s
                 # the excluded run has an uncertainty, too
                 predicted, half = (
                     quantity.pool.following,
-                    0.5 * (row.printed.high - row.printed.low),
+                    0.5 * (row.reported.high - row.reported.low),
                 )
                 low = predicted.median - np.hypot(predicted.median - predicted.low, half)
                 high = predicted.median + np.hypot(predicted.high - predicted.median, half)

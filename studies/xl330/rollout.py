@@ -16,9 +16,9 @@ from typing import Any
 from held_out import GAINS
 
 import bayesfric as bf
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.problem.config import parse_config
 from bayesfric.problem.config_text import document_text
-from bayesfric.report.summary.rows import rollout_part
 
 PATH = Path(__file__).with_name("xl330-rollout.toml")
 # Terms that `bayesfric explain` names first on these runs.
@@ -48,7 +48,7 @@ def played(gain: int, elements: dict[str, Any]) -> dict[str, Any]:
     start = process_time()
     sampled = model(GAINS[gain], elements).sample()
     fitted = process_time()
-    rolled = rollout_part(bf.rollout(sampled)).as_dict()
+    rolled = jsonable(bf.rollout(sampled).summary)
     return rolled | {"fit_seconds": fitted - start, "rollout_seconds": process_time() - fitted}
 
 
@@ -58,8 +58,8 @@ def fitted(effort: str) -> dict[str, Any]:
     rows = {
         name: {
             "median": row.median,
-            "interval": [row.printed.low, row.printed.high],
-            "sd": row.printed.sd,
+            "interval": [row.reported.low, row.reported.high],
+            "sd": row.reported.sd,
         }
         for name, row in summary.parameters.items()
     }

@@ -9,7 +9,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.diagnostics.before_a_fit import other_units
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.messages import messages_of
 from bayesfric.report.summary.doubts import find_doubts
 from bayesfric.report.summary.record import Summary
@@ -97,7 +97,7 @@ def test_intervals_cover_a_delay_that_is_not_modelled():
     joint = bf.Joint.preset("servo-pendulum")
     options = {"rate": 500, "excitation": "multisine", "amplitude": 1.0, "torque_noise": 0.01}
     late = replace(joint, delay=True)
-    table = late.simulate({"drive.delay": 0.004}, encoder_side="joint", **options)
+    table = bf.simulate(late, {"drive.delay": 0.004}, encoder_side="joint", **options)
     summary = bf.Model(joint, recording_of(table), sampling={"min_ess": 500}).fit().summary
     (finding,) = summary.findings
     assert (finding.kind, finding.hint) == ("delay", "mechanism.delay = true")

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bayesfric.recordings.read import read_recordings
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Processing, Source
+from bayesfric.recordings.source import Processing, Recording, Source
 
 from ..conftest import REPOSITORY
 from .bench import JOINT, SMALL, has, recorded, simulated, simulation

@@ -7,8 +7,8 @@ from scipy.linalg import block_diag, toeplitz
 
 import bayesfric as bf
 from bayesfric.diagnostics.autocorrelation import Layout
+from bayesfric.estimates import autoregression as ar
 from bayesfric.fit.model import Model
-from bayesfric.inference.likelihood import autoregression as ar
 from tests.axis import recording_of
 
 TRUTH = {
@@ -45,7 +45,7 @@ def table(duration=10.0):
         "torque_noise": 2e-4,
         "seed": 3,
     }
-    return axis().simulate(TRUTH, **options)[::10]
+    return bf.simulate(axis(), TRUTH, **options)[::10]
 
 
 def recording(made=None):

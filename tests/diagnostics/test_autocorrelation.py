@@ -11,7 +11,7 @@ from bayesfric.diagnostics.autocorrelation import (
     Layout,
     choose_autocorrelation,
 )
-from bayesfric.inference.likelihood import autoregression as ar
+from bayesfric.estimates import autoregression as ar
 from tests.diagnostics.bench import dense_covariance, laid_out
 
 PARTIALS = [[], [0.8], [0.9, -0.5], [0.5, 0.3, -0.6], [0.4, 0.1, 0.2, -0.3, 0.2, 0.1]]
@@ -39,16 +39,6 @@ def test_wander_is_a_sum_of_cosines_up_to_a_hertz(n, rate, many):
     dense = dense_covariance(Autocorrelation(np.zeros(0), 1.0), where) - np.eye(n)
     np.testing.assert_allclose(waves @ waves.T, dense, atol=1e-9)
     assert many / 2.0 / np.ptp(where.stamps[0]) <= max(1.0, 2.0 / np.ptp(where.stamps[0]))
-
-
-def test_whitening_is_causal_but_for_the_wander():
-    """An output is predicted by those before it: the inverse root is the Cholesky factor's."""
-    where = laid_out(50, gaps=[9, 30, 31])
-    autocorrelation = Autocorrelation(np.array([0.7, -0.2]))
-    root = np.linalg.inv(np.linalg.cholesky(dense_covariance(autocorrelation, where)))
-    np.testing.assert_allclose(autocorrelation.whitened(np.eye(47), where), root, atol=1e-9)
-    x = np.ones((47, 2))
-    np.testing.assert_array_equal(WHITE.whitened(x, where), x)
 
 
 @pytest.mark.parametrize("gap", [0, 1, 300, 301])
@@ -120,29 +110,12 @@ def test_a_memory_is_chosen_by_its_exact_density(partial, slow, counts):
             assert found.drift < 0.5
 
 
-def test_predecessors_that_hardly_help_are_taken_where_they_do():
-    """Of many short series of white noise some look correlated, by however little more."""
-    where, orders = laid_out(45), set()
-    for seed in range(120):
-        x = np.random.default_rng(seed).standard_normal(45)
-        found, _ = choose_autocorrelation(x, where)
-        exact, _ = dense_choice(x, where)
-        assert (found.partial.size, found.drift) == (exact.partial.size, exact.drift)
-        orders.add(found.partial.size)
-    assert {0, 1} <= orders
-
-
 def test_noise_that_is_drawn_is_found_again():
     where = laid_out(4000, gaps=range(500, 600))
     truth = Autocorrelation(np.array([0.8, -0.3]))
     found, _ = choose_autocorrelation(truth.drawn(where, np.random.default_rng(3)), where)
     # partial autocorrelations of 3900 outputs have sds of at most 1/sqrt(3900)
     np.testing.assert_allclose(found.partial[:2], truth.partial, atol=4.0 / np.sqrt(3900))
-
-
-def test_nothing_has_no_memory():
-    found, _ = choose_autocorrelation(np.zeros(100), laid_out(100))
-    assert (found.partial.size, found.drift) == (0, 0.0)
 
 
 def test_a_layout_counts_whole_steps_from_each_recordings_first_output():

@@ -12,7 +12,7 @@ from bayesfric.diagnostics.calibration_check import calibration_check
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Replicate
 from bayesfric.fit.model import Model
-from bayesfric.inference.local_units import units_of
+from bayesfric.inference.target import units_of
 from bayesfric.mechanism.inverse import inverse_torque
 from tests.axis import AXIS, VALUES, swing
 from tests.diagnostics.bench import dense_covariance, laid_out
@@ -51,12 +51,12 @@ def test_a_twins_fit_is_one_step_of_generalised_least_squares(target, size):
     assert target.names[-1] != "noise.sigma"
     values = AXIS.vector(VALUES) * [1.1, 0.9, 1.0, 1.05, 0.8]
     base, left = rng.standard_normal((where.outputs, 5)), size * rng.standard_normal(where.outputs)
-    median, found = checked(target, [Replicate(values, base, left, where)] * 2)
-    (fit, again), k = found.fits, len(target.free)
+    median, result = checked(target, [Replicate(values, base, left, where)] * 2)
+    (fit, again), k = result.fits, len(target.free)
     free = [AXIS.names.index(name) for name in target.free]
     assert len(free) == 4
-    np.testing.assert_allclose(found.truth, [[*values[free], *median[k:]]] * 2)
-    assert found.reason is None
+    np.testing.assert_allclose(result.truth, [[*values[free], *median[k:]]] * 2)
+    assert result.reason is None
     # runs are independent of each other, as the likelihood has them
     blocks = [dense_covariance(Autocorrelation(median[k + 1 :]), laid_out(n)) for n in (20, 28, 29)]
     root = np.zeros((77, 77))
@@ -69,9 +69,9 @@ def test_a_twins_fit_is_one_step_of_generalised_least_squares(target, size):
     step = np.linalg.solve(x.T @ x + np.diag(sds**-2.0), x.T @ y)
     assert fit.unexplained == pytest.approx(np.mean((y - x @ step) ** 2), rel=1e-6)
     # a way of a thousandth of a unit at most, along logarithms: to first order in the step
-    unit = units_of(target, found.truth[0]).units
+    unit = units_of(target, result.truth[0]).units
     assert fit.share == pytest.approx(min(1.0, 1e-3 / np.abs(step / unit).max()), rel=1e-6)
-    gone = (fit.near_truth - found.truth[0])[:k]
+    gone = (fit.near_truth - result.truth[0])[:k]
     np.testing.assert_allclose(gone / unit, fit.share * step / unit, atol=2e-6, rtol=1e-3)
     np.testing.assert_array_equal(fit.near_truth[k:], median[k:])
     np.testing.assert_array_equal(fit.near_truth, again.near_truth)
@@ -87,9 +87,9 @@ def test_it_says_why_there_is_none(target):
         ({"reason": "still"}, "still"),
         ({"reason": "still", "rest": rest}, "rest"),
     ):
-        _, found = checked(target, [replicate], **told)
-        assert (found.reason, found.fits) == (reason, ())
-        assert found.truth.shape == (0, len(target.names))
+        _, result = checked(target, [replicate], **told)
+        assert (result.reason, result.fits) == (reason, ())
+        assert result.truth.shape == (0, len(target.names))
     other = copy(target)
     other.likelihood = SimpleNamespace(chain=AXIS)
     assert checked(other, [replicate])[1].reason == "likelihood"

@@ -9,11 +9,11 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.templates import placed
-from bayesfric.diagnostics.along import Along, scales_of
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
-from bayesfric.diagnostics.explanation import Explanation, finding, setting_of, too_few_outputs
+from bayesfric.diagnostics.explanation import Explanation, finding_of, setting_of, too_few_outputs
+from bayesfric.diagnostics.motion import MotionSignals, scales_of
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
-from bayesfric.diagnostics.regression import Step
+from bayesfric.diagnostics.regression import Effect
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs, Signal
@@ -21,29 +21,31 @@ from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import axis
 
-STEP = Step(
+EFFECT = Effect(
     "quadratic", "0.5", columns=[0], significant=True, z=6.0, p=0.04, largest=7.0, limit=4.0,
-    worth=np.zeros(1), share=0.1, recording="in one", span=(1.0, 2.0),
+    share=0.1, recording="in one", span=(1.0, 2.0),
     coefficients=np.array([1.0]), collinear=("power",),
     moves={"a": 0.5, "b": -MOVES - 0.01, "c": MOVES + 5.0, "d": MOVES - 0.01},
 )  # fmt: skip
 
 
 def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
-    found = finding(axis(), STEP)
-    assert (found.kind, found.shape, found.statistic, found.p) == ("quadratic", "0.5", 6.0, 0.04)
-    assert (found.share, found.rivals, found.recording) == (0.1, ("power",), "in one")
-    assert found.span == (1.0, 2.0)
-    assert (found.severity, found.parameters) == ("doubt", ("c", "b"))  # the most first
-    assert found.physical
-    assert found.hint == found.setting == "mechanism.elements.motor.quadratic = true"
-    near = finding(axis(), replace(STEP, moves={"a": 0.5, "d": -MOVES + 0.01}))
+    result = finding_of(axis(), EFFECT)
+    assert (result.kind, result.shape, result.statistic, result.p) == (
+        "quadratic",
+        "0.5",
+        6.0,
+        0.04,
+    )
+    assert (result.share, result.rivals, result.recording) == (0.1, ("power",), "in one")
+    assert result.span == (1.0, 2.0)
+    assert (result.severity, result.parameters) == ("doubt", ("c", "b"))  # the most first
+    assert result.physical
+    assert result.hint == result.setting == "mechanism.elements.motor.quadratic = true"
+    near = finding_of(axis(), replace(EFFECT, moves={"a": 0.5, "d": -MOVES + 0.01}))
     assert (near.severity, near.moves) == ("note", {})
-    told = found.as_dict()
-    assert (told["parameters"], told["span"]) == (["c", "b"], [1.0, 2.0])
-    assert finding(axis(), replace(STEP, span=None)).as_dict()["span"] is None
     # what is no candidate of the table has no setting
-    tone = finding(axis(), replace(STEP, kind="tone"))
+    tone = finding_of(axis(), replace(EFFECT, kind="tone"))
     assert (tone.kind, tone.setting, tone.physical) == ("tone", "", True)
 
 
@@ -61,24 +63,28 @@ def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
     ],
 )
 def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, named, hint):
-    found = finding(axis(), replace(STEP, kind=kind, coefficients=np.array(sizes), collinear=alike))
-    assert found.kind == named
-    assert found.hint == (
+    result = finding_of(
+        axis(), replace(EFFECT, kind=kind, coefficients=np.array(sizes), collinear=alike)
+    )
+    assert result.kind == named
+    assert result.hint == (
         f"mechanism.{'' if hint.startswith('load.') else 'elements.'}{hint}" if hint else ""
     )
-    assert found.physical == (bool(hint) or kind == "drift")
-    assert found.shape == ("0.5" if named == kind else "")
-    assert found.rivals == ((kind, *(x for x in alike if x != named)) if named != kind else alike)
+    assert result.physical == (bool(hint) or kind == "drift")
+    assert result.shape == ("0.5" if named == kind else "")
+    assert result.rivals == ((kind, *(x for x in alike if x != named)) if named != kind else alike)
 
 
 @pytest.mark.parametrize("kind", ["smoothed", "current_column", "torque_constant_by_angle"])
 def test_a_fault_of_the_recording_is_a_doubt_whatever_it_moves_and_however_wide_intervals_are(kind):
-    fault, term = (finding(axis(), replace(STEP, kind=k, moves={})) for k in (kind, "quadratic"))
+    fault, term = (
+        finding_of(axis(), replace(EFFECT, kind=k, moves={})) for k in (kind, "quadratic")
+    )
     assert (fault.severity, term.severity) == ("doubt", "note")
     room = SimpleNamespace(kinds={kind: (), "quadratic": ()})
-    found = Explanation((fault, replace(term, severity="doubt")), missing=room)
-    assert [x.severity for x in found.with_severity(widened=True)] == ["doubt", "note"]
-    assert [x.severity for x in found.with_severity(widened=False)] == ["doubt", "doubt"]
+    result = Explanation((fault, replace(term, severity="doubt")), missing=room)
+    assert [x.severity for x in result.with_severity(widened=True)] == ["doubt", "note"]
+    assert [x.severity for x in result.with_severity(widened=False)] == ["doubt", "doubt"]
 
 
 # A line of a configuration adds the column of its candidate
@@ -154,9 +160,9 @@ def test_the_line_that_a_finding_gives_adds_its_candidates_columns(name, chain):
     o = made_observation("one", TIME, MOTION, TIME, taken, 0.002, WARM, settings=told)
     values = np.array([VALUES.get(p.quantity, 0.0) for p in chain.parameters])
     scales = scales_of(chain, values, [o])
-    along = Along(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
+    along = MotionSignals(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
     kind, some = BY_NAME[name], 0
-    every = [*kind.columns(along).items()]
+    every = [*kind.shapes(along).items()]
     for shape, columns in (*every[:1], *every[-1:]):  # terms that are new take their compilation
         line = setting_of(chain, kind, shape)
         if not line:
@@ -183,60 +189,62 @@ def project(x, y):
     return x @ np.linalg.lstsq(x, y, rcond=1e-10)[0]
 
 
-def test_settings_name_the_element_that_can_have_them():
-    first = bf.Element("motor", coulomb="symmetric", ratio=10.0)
-    bare = bf.Joint([first, bf.Element("arm")], bf.Load(inertia=True))
-    elements = "mechanism.elements"
-
-    def told(kind, chain=bare, shape=""):
-        return setting_of(chain, BY_NAME[kind], shape)
-
-    # the first that does not have it yet, none where all do
-    assert told("coulomb") == f'{elements}.arm.coulomb = "symmetric"'
-    both = replace(bare, elements=[first, replace(first, name="arm", ratio=1.0)])
-    assert told("coulomb", both) == ""
-    # waves at the shaft that turns so often: motor or joint
-    assert told("repeating", shape="12 a turn of the motor") == f"{elements}.motor.cogging = [12]"
-    assert told("repeating", shape="3 a turn of the joint") == f"{elements}.arm.cogging = [3]"
-    # a loss by the load is the last element's, or that which has one; it needs a load, or inertia
-    assert told("load_loss") == f'{elements}.arm.load_loss = "one"'
-    lossy = replace(
-        bare, elements=[replace(first, choices={"load_loss": "one"}), bf.Element("arm")]
-    )
-    assert told("load_loss_by_power", lossy) == f'{elements}.motor.load_loss = "two"'
-    assert told("load_loss", lossy) == ""
-    # what shapes such a loss needs one first
-    for kind, option in (
-        ("load_square", "load_square"),
-        ("load_speed", "load_speed"),
-        ("load_loss_by_direction", "load_direction"),
-    ):
-        assert told(kind) == f'{elements}.arm.load_loss = "one"'
-        assert told(kind, lossy) == f"{elements}.motor.{option} = true"
-    empty = replace(bare, load=bf.Load())
-    assert told("load_loss", empty) == ""
-    behind = bf.Joint([first, bf.Element("arm", inertia=True)], bf.Load())
-    assert told("load_loss", behind) == ""  # the last has nothing behind it
-    geared = replace(
-        behind, elements=[replace(first, choices={"load_loss": "one"}), behind.elements[1]]
-    )
-    assert told("load_square", geared) == f"{elements}.motor.load_square = true"
-    # of the joint and its load
-    assert told("offset") == "mechanism.offset = true"
-    assert told("delay") == "mechanism.delay = true"
-    assert (
-        told("offset", replace(bare, offset=True)) == told("delay", replace(bare, delay=True)) == ""
-    )
-    assert told("spring") == "mechanism.load.spring = true"
-    assert told("spring", replace(bare, load=bf.Load(spring=True))) == ""
-    assert told("gravity") == "mechanism.load = { first_moment = true, gravity_angle = true }"
-    heavy = replace(bare, load=bf.Load(first_moment=True))
-    assert told("gravity", heavy) == "mechanism.load.gravity_angle = true"
-    for kind in ("torque_constant", "drift", "elastic", "backlash", "presliding"):
-        assert told(kind) == ""
+FIRST = bf.Element("motor", coulomb="symmetric", ratio=10.0)
+LOSING = replace(FIRST, choices={"load_loss": "one"})
+ARM = bf.Element("arm")
+BARE = bf.Joint([FIRST, ARM], bf.Load(inertia=True))
+INERT_ARM = bf.Element("arm", inertia=True)
 
 
-# Whether it is asked
+@pytest.mark.parametrize(
+    ("kind", "more", "line"),
+    [
+        # the first element that does not have it yet, none where all do
+        ("coulomb", {}, 'elements.arm.coulomb = "symmetric"'),
+        ("coulomb", {"elements": [FIRST, replace(FIRST, name="arm", ratio=1.0)]}, ""),
+        # a load-dependent loss is the last element's, or that of one that has it already
+        ("load_loss", {}, 'elements.arm.load_loss = "one"'),
+        ("load_loss_by_power", {"elements": [LOSING, ARM]}, 'elements.motor.load_loss = "two"'),
+        ("load_loss", {"elements": [LOSING, ARM]}, ""),
+        # what shapes such a loss needs one first
+        ("load_square", {}, 'elements.arm.load_loss = "one"'),
+        ("load_square", {"elements": [LOSING, ARM]}, "elements.motor.load_square = true"),
+        ("load_speed", {"elements": [LOSING, ARM]}, "elements.motor.load_speed = true"),
+        (
+            "load_loss_by_direction",
+            {"elements": [LOSING, ARM]},
+            "elements.motor.load_direction = true",
+        ),
+        # it needs a load, or inertia, behind it
+        ("load_loss", {"load": bf.Load()}, ""),
+        ("load_loss", {"load": bf.Load(), "elements": [FIRST, INERT_ARM]}, ""),
+        (
+            "load_square",
+            {"load": bf.Load(), "elements": [LOSING, INERT_ARM]},
+            "elements.motor.load_square = true",
+        ),
+        # of the joint and its load
+        ("offset", {}, "offset = true"),
+        ("offset", {"offset": True}, ""),
+        ("delay", {}, "delay = true"),
+        ("delay", {"delay": True}, ""),
+        ("spring", {}, "load.spring = true"),
+        ("spring", {"load": bf.Load(spring=True)}, ""),
+        ("gravity", {}, "load = { first_moment = true, gravity_angle = true }"),
+        ("gravity", {"load": bf.Load(first_moment=True)}, "load.gravity_angle = true"),
+        ("torque_constant", {}, ""),
+        ("elastic", {}, ""),
+    ],
+)
+def test_settings_name_the_element_that_can_have_them(kind, more, line):
+    assert setting_of(replace(BARE, **more), BY_NAME[kind], "") == (line and f"mechanism.{line}")
+
+
+@pytest.mark.parametrize(("turns", "side"), [(12, "motor"), (3, "joint")])
+def test_waves_belong_to_the_shaft_that_turns_so_often(turns, side):
+    name = {"motor": "motor", "joint": "arm"}[side]
+    line = setting_of(BARE, BY_NAME["repeating"], f"{turns} a turn of the {side}")
+    assert line == f"mechanism.elements.{name}.cogging = [{turns}]"
 
 
 def test_recordings_are_asked_of_enough_outputs():
@@ -247,15 +255,3 @@ def test_recordings_are_asked_of_enough_outputs():
 
     assert sized(10, LEAST_OUTPUTS - 8) == "few"
     assert sized(10, LEAST_OUTPUTS - 7) is None
-
-
-def test_an_explanation_is_told_as_json_and_as_a_table():
-    found = finding(axis(), STEP)
-    one = Explanation((found,), ("a",), ("b",), (None,) * 3, 5.0, 4.0, 2.0)
-    assert one.answered
-    assert one.as_json() == {
-        "findings": [found.as_dict()], "kinds": ["a"], "untold": ["b"], "twins": 3,
-        "largest": 5.0, "limit": 4.0, "cpu_seconds": 2.0, "reason": None, "share": 1.0,
-    }  # fmt: skip
-    assert one.frame["kind"].tolist() == ["quadratic"]
-    assert not Explanation(reason="few").answered

@@ -1,4 +1,4 @@
-"""Included effects and their shifts: recordings and replicates of random columns, dense algebra."""
+"""Forward selection and its design matrix, against dense algebra on random and exact columns."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,15 +7,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import bayesfric.diagnostics.regression as regression
 from bayesfric.diagnostics.autocorrelation import WHITE, Autocorrelation, choose_autocorrelation
-from bayesfric.diagnostics.disturbances import (
-    DELAY,
-    SINUSOID,
-    TRANSIENT,
-    sinusoid_columns,
-    tune_frequency,
+from bayesfric.diagnostics.candidates import KINDS, filtered_columns
+from bayesfric.diagnostics.disturbances import DELAY, SINUSOID, TRANSIENT, sinusoid_columns
+from bayesfric.diagnostics.motion import MotionSignals
+from bayesfric.diagnostics.policy import LEAST_OUTPUTS
+from bayesfric.diagnostics.regression import (
+    Regression,
+    draw_parameters,
+    regression_of,
+    reported_gradients,
 )
-from bayesfric.diagnostics.regression import Regression
+from bayesfric.diagnostics.replicates import ReplicateError
 from bayesfric.diagnostics.statistics import (
     Columns,
     Key,
@@ -23,508 +27,445 @@ from bayesfric.diagnostics.statistics import (
     score_candidates,
     standard_normal_scores,
 )
-from bayesfric.diagnostics.statistics import (
-    testable as candidates,
-)
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
-from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs
+from bayesfric.recordings.source import Processing
 from tests.axis import AXIS, VALUES, swing
-from tests.conftest import made_observation
+from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import dense_covariance, laid_out
 
-DELAYS = (0.05, -0.05)
+TRUTH = AXIS.vector(VALUES)
 PLAIN = ("elastic", "offset", "gravity", "gravity", "coulomb", "drift")
+LAGGED = Autocorrelation(np.array([0.6]))
 
 
-def columns(rng, effect=None, noise=WHITE, counts=(160, 140), base=5):
-    """Columns of two recordings; in the residual is noise, and an effect of them."""
-    where = laid_out(*counts, gaps=(33, 34), rate=20.0)
-    n, fixed = where.outputs, np.random.default_rng(7)
+def columns(rng=None, effect=None, noise=WHITE):
+    """Random columns of two recordings, with noise and an effect in the residual."""
+    layout, fixed = laid_out(160, 140, gaps=(33, 34), rate=20.0), np.random.default_rng(7)
     keys = [Key(kind, "", int(i > 0 and PLAIN[i - 1] == kind)) for i, kind in enumerate(PLAIN)]
-    keys += [Key("stribeck", shape, 0) for shape in ("slow", "fast")]
+    keys += [Key("stribeck", shape, 0) for shape in ("in one", "in two")]
     keys += [Key("elastic", "", 0, nuisance=True)]
-    keys += [Key(DELAY, f"by about {d} s", i, delay=d) for d in DELAYS for i in (0, 1)]
-    x = fixed.standard_normal((n, base + len(keys)))
-    left = noise.drawn(where, rng)
-    d = Columns(x[:, :base], x[:, base:], left, where, tuple(keys))
-    return d if effect is None else replace(d, residual=left + effect(d))
+    keys += [Key(DELAY, f"by about {d} s", i, delay=d) for d in (0.05, -0.05) for i in (0, 1)]
+    x = fixed.standard_normal((layout.outputs, 5 + len(keys)))
+    residual = np.zeros(layout.outputs) if rng is None else noise.drawn(layout, rng)
+    d = Columns(x[:, :5], x[:, 5:], residual, layout, tuple(keys))
+    return d if effect is None else replace(d, residual=residual + effect(d))
 
 
-def made(effect=None, seed=0, noise=WHITE, replicates=24, values=None, known=()):
-    """A regression whose recording and replicates are columns that are given."""
-    rng = np.random.default_rng(seed)
-    r = object.__new__(Regression)
-    r.chain, r.known, r._smoothed = AXIS, known, ""
-    r._located_scans, r._significant_kinds = [], set()
-    r.values = AXIS.vector(VALUES) if values is None else values
-    r.scales = SimpleNamespace(torque=2.0, lost=0.5, transient_width=0.25, names=("one", "two"))
-    time = np.linspace(0.0, 7.0, 50)  # of a motion that typical loads are asked of
-    every = ParallelFilter.every_sample(50)
-    r.observations = [
-        made_observation(name, time, swing(time, ((0.3, 1.0),)), time, every, 0.1, Inputs())
-        for name in r.scales.names
-    ]
-    r.data = columns(rng, effect, noise)
-    r._groups = candidates(r.data)
-    r.replicates = [columns(rng, noise=noise) for _ in range(replicates)]
-    r._clean = [np.zeros_like(t.residual) for t in r.replicates]
-    return r
+def made(effect=None, seed=0, noise=WHITE, number=24, sizes=TRUTH, change=lambda d: d):
+    """Set up a regression on random columns; replicates have no error of sensors."""
+    data = change(columns(np.random.default_rng(seed), effect, noise))
+    replicates = [change(columns()) for _ in range(number)]
+    scales = SimpleNamespace(torque=2.0, lost=0.5, transient_width=0.25, names=("one", "two"))
+    gradients = dict(zip(AXIS.names, np.eye(5), strict=True))
+    gradients["sum"] = np.arange(1.0, 6.0)
+    seeds = np.random.SeedSequence(1000 + seed)
+    return Regression(data, replicates, scales, sizes, gradients, seeds)
 
 
-def left_of(d, *numbers):
-    """What dense least squares leaves of the residual beside columns by number."""
-    x = np.column_stack([d.base, d.others[:, [*numbers]]])
-    return d.residual - x @ np.linalg.lstsq(x, d.residual)[0]
-
-
-def number(d, kind, shape="", nuisance=False):
-    (found, *_) = (
-        i for i, k in enumerate(d.keys) if (k.kind, k.shape, k.nuisance) == (kind, shape, nuisance)
-    )
-    return found
+def number(d, kind, shape=""):
+    return next(i for i, k in enumerate(d.keys) if (k.kind, k.shape) == (kind, shape))
 
 
 def effect_of(kind, size, shape=""):
     return lambda d: size * d.others[:, number(d, kind, shape)]
 
 
-def test_limit_probability_and_worth_are_those_of_all_twins_largest():
-    r = made(effect_of("offset", 1.0))
-    choice = r._select([], for_noise=False)
-    given = r._groups, [], 0.25
+def whitened(d, *arrays, noise=None):
+    covariance = dense_covariance(noise or d.autocorrelation, d.layout)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    return [root @ x for x in arrays]
+
+
+@pytest.mark.parametrize(("size", "count"), [(1.0, 24), (0.0, 24), (0.0, 5)])
+def test_limit_and_probability_are_those_of_the_replicates_largest(size, count):
+    r = made(effect_of("offset", size), seed=3, number=count)
+    noise, _ = choose_autocorrelation(r.data.residual_with([]), r.data.layout)
+    arguments = r.groups, [], 0.25
+    recorded = score_candidates(replace(r.data, autocorrelation=noise), *arguments)
     z, null = standard_normal_scores(
-        score_candidates(r.data, *given), [score_candidates(t, *given) for t in r.replicates]
+        recorded, [score_candidates(t, *arguments) for t in r.replicates]
     )
     largest = np.sort(null.max(axis=1))
-    assert choice.limit == max(largest[-2], stats.norm.isf(0.05 / z.size / 2))
-    assert (choice.kind, choice.significant) == ("offset", True)
-    assert choice.largest == choice.z == z.max()
-    assert choice.p == 1.0 / 25.0
-    mine = score_candidates(r.data, *given)
-    gains = [*mine.gains, *(scan.peak for scan in mine.scans)]
-    # a pair is one number more, a shape another; a tone has a frequency, a push and a delay a place
-    more = [1 * (len(own) > 1) + (key.kind == "stribeck") for key, own in r._groups] + [2, 1, 1]
-    np.testing.assert_allclose(choice.worth, gains - np.array(more) * np.log(r.data.residual.size))
-    # of nothing that is sure the most unlikely is told, and how many replicates have more of
-    # anything
-    none = made(seed=3)
-    choice = none._select([], for_noise=False)
-    z, null = standard_normal_scores(
-        score_candidates(none.data, *given), [score_candidates(t, *given) for t in none.replicates]
-    )
-    assert not choice.significant
-    assert choice.z == z.max() < choice.limit
-    assert choice.p == (1 + np.sum(null.max(axis=1) >= z.max())) / 25.0
-    # with few replicates the limit is that of as many independent normals
-    few = made(seed=3, replicates=5)
-    assert few._select([], for_noise=False).limit >= stats.norm.isf(0.05 / z.size / 2)
+    (effect,) = r.effects(1)
+    normals = stats.norm.isf(0.05 / z.size / 2)  # as many independent ones
+    quantile = np.quantile(largest, 0.95, method="higher")
+    assert effect.limit == pytest.approx(max(quantile, normals))
+    assert effect.largest == pytest.approx(z.max())
+    assert effect.p == (1 + np.sum(largest >= effect.z)) / (count + 1)
+    assert effect.significant == bool(size) == (effect.z > effect.limit)
+    if size:
+        # a pair, or a shape, is one parameter more; a sinusoid two, a transient or delay one
+        gains = [*recorded.gains, *(scan.peak for scan in recorded.scans)]
+        more = [1 * (len(own) > 1) + (k.kind == "stribeck") for k, own in r.groups] + [2, 1, 1]
+        worth = np.array(gains) - np.array(more) * np.log(r.data.residual.size)
+        assert r.groups[np.argmax(np.where(z > effect.limit, worth, -np.inf))][0].kind == "offset"
+        assert effect.kind == "offset"
+    else:
+        assert effect.z == effect.largest
 
 
-def test_recordings_whose_model_is_right_are_told_so():
+def test_p_values_of_right_models_are_uniform():
     """By exchange one of 25 is beyond all others but one in 8 % at most; normals ask for more."""
-    wrong = [made(seed=seed)._select([], for_noise=False).significant for seed in range(80)]
-    assert 1 <= sum(wrong) <= 0.08 * 80 + 3.0 * np.sqrt(80 * 0.08 * 0.92)
+    effects = [made(seed=seed).effects(1)[0] for seed in range(80)]
+    wrong, ps = sum(e.significant for e in effects), [e.p for e in effects]
+    assert wrong <= 0.08 * 80 + 3.0 * np.sqrt(80 * 0.08 * 0.92)
+    # each place among 25 is as likely
+    assert np.mean(ps) == pytest.approx(13 / 25, abs=3.0 * np.sqrt(1 / 12 / 80))
 
 
-def tone_of(d):
-    x = sinusoid_columns(d.layout, 3.21)
-    return x @ [0.8, 0.3, -0.5, 0.7]
+def sinusoid(d):
+    return sinusoid_columns(d.layout, 3.21) @ [0.8, 0.3, -0.5, 0.7]
 
 
-def push_of(d):
+def transient(d):
     t = np.concatenate(d.layout.stamps)
     return 2.5 * np.exp(-0.5 * ((t - 4.0) / 0.25) ** 2) * d.layout.members[1]
 
 
-def far(d):
+def far_delay(d):
     return d.others[:, number(d, DELAY, "by about -0.05 s")] - 0.2 * d.others[:, -1]
 
 
 ONE_WRONG = {
-    "elastic": effect_of("elastic", 0.8),
-    "gravity": lambda d: d.others[:, [2, 3]] @ [0.6, -0.6],
-    "stribeck": effect_of("stribeck", 0.8, "fast"),
-    SINUSOID: tone_of,
-    TRANSIENT: push_of,
-    DELAY: far,
+    "elastic": (effect_of("elastic", 0.8), "", [0.8]),
+    "gravity": (lambda d: d.others[:, [2, 3]] @ [0.6, -0.6], "", [0.6, -0.6]),
+    "stribeck": (effect_of("stribeck", 0.8, "in two"), "in two", [0.8]),
+    SINUSOID: (sinusoid, "3.21 Hz", None),
+    TRANSIENT: (transient, "two at ", None),
+    DELAY: (far_delay, "by about -0.05 s", [1.0, -0.2]),
 }
 
 
 @pytest.mark.parametrize(
     ("kind", "noise"),
-    # in noise that remembers a push of this size is nothing
+    # in autocorrelated noise a transient of this size is nothing
     [(kind, WHITE) for kind in ONE_WRONG]
-    + [(kind, Autocorrelation(np.array([0.6]))) for kind in ONE_WRONG if kind != TRANSIENT],
+    + [(kind, LAGGED) for kind in ONE_WRONG if kind != TRANSIENT],
 )
-def test_what_is_wrong_is_named_and_nothing_else(kind, noise):
-    r = made(ONE_WRONG[kind], seed=4, noise=noise)
-    r._choose_noise(np.random.SeedSequence(1))
-    # what is missing is not taken for noise that remembers; a push can be, and is looked for last
+def test_one_missing_effect_is_named_and_nothing_else(kind, noise):
+    effect, shape, exact = ONE_WRONG[kind]
+    r = made(effect, seed=4, noise=noise)
+    # what is missing is not taken for autocorrelation; a transient can be, and is tried last
     if kind != TRANSIENT:
-        told, exact = (np.pad(one.partial, (0, 6 - one.partial.size)) for one in (r.noise, noise))
-        np.testing.assert_allclose(told, exact, atol=0.2)
-    steps = r.steps()
-    assert [step.kind for step in steps if step.significant] == [kind]
-    first, d = steps[0], r.data
-    where = {DELAY: "by about -0.05 s", "stribeck": "fast"}
+        partial, true = (np.pad(x.partial, (0, 6 - x.partial.size)) for x in (r.noise, noise))
+        np.testing.assert_allclose(partial, true, atol=0.2)
+    effects = r.effects()
+    assert [e.kind for e in effects if e.significant] == [kind] == [e.kind for e in r.included]
+    first, d = effects[0], r.data
+    assert first.shape.startswith(shape if kind != SINUSOID else "3.2")
+    assert first.recording == {"stribeck": "two", TRANSIENT: "two"}.get(kind, "")
     if kind == SINUSOID:
-        assert first.shape == f"{first.scan.place:.3g} Hz"
         assert first.scan.place == pytest.approx(3.21, abs=0.02)
-    elif kind == TRANSIENT:
-        assert first.recording == "two"
-        assert first.shape.startswith("two at ")
+        waves = sinusoid_columns(d.layout, first.scan.place)
+        np.testing.assert_allclose(d.others[:, first.columns], waves)
+    assert (first.span is None) == (kind != TRANSIENT)
+    if kind == TRANSIENT:
         assert np.mean(first.span) == pytest.approx(4.0, abs=0.3)
         assert np.diff(first.span) == pytest.approx(4.0 * 0.25)
-    else:
-        assert (first.shape, first.recording, first.span) == (where.get(kind, ""), "", None)
-    if kind in (SINUSOID, TRANSIENT, DELAY):
-        assert first.scan.kind == kind
-        assert r._located_scans == [(kind, tuple(first.columns))]
     assert all(len(t.keys) == len(d.keys) == t.others.shape[1] for t in r.replicates)
-    assert all(key.kind == kind for key in np.array(d.keys, dtype=object)[first.columns])
-    exact = {"elastic": [0.8], "gravity": [0.6, -0.6], "stribeck": [0.8], DELAY: [1.0, -0.2]}
-    if kind in exact:
+    assert {d.keys[i].kind for i in first.columns} == {kind}
+    if exact:
         sd = 4.0 / np.sqrt(d.residual.size)
-        np.testing.assert_allclose(first.coefficients, exact[kind], atol=sd)
-    # what a step explains is left of the torque by no second one
-    own = d.others[:, first.columns] @ first.coefficients
-    assert first.share == pytest.approx(np.sqrt(np.mean(own**2)) / 2.0)
+        np.testing.assert_allclose(first.coefficients, exact, atol=sd)
+    torque = d.others[:, first.columns] @ first.coefficients
+    assert first.share == pytest.approx(np.sqrt(np.mean(torque**2)) / 2.0)
+    shapes = r.missing(()).kinds.get(kind, ())
+    assert (tuple(first.columns) in shapes) or exact is None
 
 
-def test_several_things_are_taken_in_one_after_the_other():
-    """The one that explains most first, a push last; and no more of them than are asked for."""
+def test_several_effects_are_included_one_after_the_other():
+    """The one that explains most first, a transient last; and no more of them than asked for."""
 
     def effect(d):
-        return push_of(d) + effect_of("coulomb", 0.5)(d) + effect_of("elastic", 1.0)(d)
+        return transient(d) + effect_of("coulomb", 0.5)(d) + effect_of("elastic", 1.0)(d)
 
-    steps = made(effect, seed=5).steps()
-    assert [s.kind for s in steps if s.significant] == ["elastic", "coulomb", TRANSIENT]
-    assert not steps[-1].significant
-    assert [s.kind for s in made(effect, seed=5).steps(1)] == ["elastic"]
+    effects = made(effect, seed=5).effects()
+    assert [e.kind for e in effects if e.significant] == ["elastic", "coulomb", TRANSIENT]
+    assert not effects[-1].significant
+    assert [e.kind for e in made(effect, seed=5).effects(1)] == ["elastic"]
 
 
-def test_a_kind_that_was_taken_brings_all_its_shapes():
-    """So that none of its other shapes is found beside it; not so of what has many of its own."""
-    r = made(seed=5)
-    for kind, family in (("stribeck", {6, 7}), ("elastic", {0, 8}), ("gravity", {2, 3})):
-        r.data = columns(
-            np.random.default_rng(5),
-            lambda d, kind=kind: (
-                3.0 * d.others[:, number(d, kind, "slow" if kind == "stribeck" else "")]
-            ),
+def test_an_included_kind_brings_all_its_shapes():
+    """So that none of its other shapes is found in addition to it."""
+
+    def effect(d):
+        return d.others[:, [number(d, "stribeck", x) for x in ("in one", "in two")]] @ [1.0, 0.7]
+
+    assert [e.kind for e in made(effect, seed=5).effects() if e.significant] == ["stribeck"]
+
+
+@pytest.mark.parametrize("noise", [WHITE, LAGGED])
+def test_sizes_and_shifts_are_those_of_two_dense_fits(noise):
+    def effect(d):
+        return (
+            d.base @ [0.1, 0.2, 0.0, 0.0, 0.3] + d.others[:, 4] + d.others[:, [2, 3]] @ [0.6, 0.3]
         )
-        (_, before), (_, after) = r._forward_selection(2)
-        assert before == []
-        assert set(after) == family, kind
 
-
-def test_what_wander_can_be_is_not_taken_while_noise_is_chosen():
-    """A drift, a push and a slow tone; a fast one is. What is not sure has no columns."""
-    slow = lambda d: sinusoid_columns(d.layout, 0.6) @ [0.8, 0.3, -0.5, 0.7]  # noqa: E731
-    for effect, kind in (
-        (slow, SINUSOID),
-        (push_of, TRANSIENT),
-        (effect_of("drift", 1.0), "drift"),
-    ):
-        r = made(effect, seed=6)
-        assert (r._select([], for_noise=False).kind, r._select([], for_noise=True).significant) == (
-            kind,
-            False,
-        )
-    r = made(tone_of, seed=6)
-    assert r._select([], for_noise=True).significant
-    quiet = made(seed=3)
-    before = quiet.data.others.shape
-    unsure = quiet._select([], for_noise=True)
-    assert not unsure.significant
-    assert quiet.data.others.shape == before
-
-
-def test_a_tone_is_tuned_in_the_whitened_residual():
-    r = made(tone_of, seed=6, noise=Autocorrelation(np.array([0.6])))
-    r._choose_noise(np.random.SeedSequence(1))
-    choice = r._select([], for_noise=False)
-    d, white = r.data, r.data.autocorrelation.whitened(r.data.base, r.data.layout)
-    basis = np.linalg.qr(white)[0]
-
-    def left(x):
-        y = d.autocorrelation.whitened(x, d.layout)
-        return y - basis @ (basis.T @ y)
-
-    exact = tune_frequency(left(d.residual[:, None])[:, 0], d.layout, choice.scan.place, left)
-    assert choice.scan.place == pytest.approx(exact, abs=1e-4)
-    np.testing.assert_allclose(
-        d.others[:, choice.columns], sinusoid_columns(d.layout, choice.scan.place)
-    )
-
-
-# What it moves
-
-
-@pytest.mark.parametrize("extra", [[], [4]])
-@pytest.mark.parametrize("autocorrelation", [WHITE, Autocorrelation(np.array([0.5, -0.2]))])
-def test_a_candidates_size_and_what_it_moves_are_those_of_two_dense_fits(extra, autocorrelation):
-    r = made(lambda d: d.base @ [0.1, 0.2, 0.0, 0.0, 0.3] + 0.7 * d.others[:, 2], seed=2)
-    r.data = replace(r.data, autocorrelation=autocorrelation)
-    d, own = r.data, [2, 3]
-    root = np.linalg.inv(np.linalg.cholesky(dense_covariance(autocorrelation, d.layout)))
-    x = root @ np.column_stack([d.base, d.others[:, [*extra, *own]]])
-    y, k = root @ d.residual, 5 + len(extra)
-    before, after = np.linalg.lstsq(x[:, :k], y)[0], np.linalg.lstsq(x, y)[0]
+    r = made(effect, seed=2, noise=noise)
+    first, second = [e for e in r.effects(2) if e.significant]
+    assert (first.kind, second.kind) == ("coulomb", "gravity")
+    d, extra, own = r.data, [4], [2, 3]  # whitened by the noise after the first
+    x, y = whitened(d, np.column_stack([d.base, d.others[:, extra + own]]), d.residual)
+    before, after = np.linalg.lstsq(x[:, :6], y)[0], np.linalg.lstsq(x, y)[0]
     variance = np.sum((y - x @ after) ** 2) / (y.size - x.shape[1])
-    covariance = variance * np.linalg.inv(x.T @ x)
-    found = r._fit_selected(own, extra)
-    np.testing.assert_allclose(found["coefficients"], after[k:], rtol=1e-6)
-    torque = d.others[:, own] @ after[k:]
-    assert found["share"] == pytest.approx(np.sqrt(np.mean(torque**2)) / 2.0)
-    shift, sds = after[:5] - before[:5], np.sqrt(np.diag(covariance)[:5])
-    for name, moved in zip(AXIS.names, shift / sds, strict=True):
-        assert found["moves"][name] == pytest.approx(moved, rel=1e-6, abs=1e-9)
-    # and of what is made of parameters, by its gradient
-    some, load = 0, typical_load(AXIS, r.observations, r.values)
-    for i in range(5):
-        step = np.where(np.arange(5) == i, 1e-4 * r.values, 0.0)
-        sides = zip(*(derive(AXIS, (r.values + s)[None], load) for s in (step, -step)), strict=True)
-        slopes = {a.name: float(a.values[0] - b.values[0]) / 2e-4 / r.values[i] for a, b in sides}
-        for name, slope in slopes.items():
-            assert r._gradients[name][i] == pytest.approx(slope, rel=1e-6, abs=1e-9)
-            some += 1
-    assert some
-    for name, gradient in r._gradients.items():
-        exact = gradient @ shift / np.sqrt(gradient @ covariance[:5, :5] @ gradient)
-        assert found["moves"][name] == pytest.approx(exact, rel=1e-6, abs=1e-9)
-
-
-def test_what_a_parameter_moves_by_does_not_hang_on_its_value():
-    """Nor of one that is zero, and in whichever unit: sds are the measure."""
-    moves = []
-    for values in (
-        AXIS.vector(VALUES),
-        AXIS.vector(VALUES | {"offset": 0.0, "motor.coulomb": 3e4}),
-    ):
-        r = made(effect_of("elastic", 1.0), seed=2, values=values)
-        found = r._fit_selected([0], [])["moves"]
-        moves.append([found[name] for name in AXIS.names])
-    np.testing.assert_allclose(moves[1], moves[0], rtol=1e-6)
-
-
-def test_what_is_known_or_not_determined_is_moved_by_nothing():
-    r = made(effect_of("elastic", 1.0), seed=2, known=(AXIS.names[0],))
-    base = r.data.base.copy()
-    base[:, 0] = 0.0
-    base[:, 2] = 3.0 * base[:, 1]
-    r.data = replace(r.data, base=base)
-    moves = r._fit_selected([0], [])["moves"]
-    assert not {*AXIS.names[:3]} & set(moves)
-    assert {*AXIS.names[3:]} <= set(moves)
-
-
-def test_rivals_look_alike_or_explain_as_much():
-    r = made(effect_of("elastic", 3.0), seed=2)
-    others = r.data.others.copy()
-    rng = np.random.default_rng(1)
-    beside = np.linalg.qr(
-        np.column_stack([r.data.base, others[:, 0], rng.standard_normal((others.shape[0], 2))])
-    )[0]
-    unit = np.linalg.norm(others[:, 0] - beside[:, :5] @ (beside[:, :5].T @ others[:, 0]))
-    for i, cosine in ((1, 0.955), (4, 0.945)):
-        others[:, i] = unit * (
-            cosine * np.sign(beside[:, 5] @ others[:, 0]) * beside[:, 5]
-            + np.sqrt(1 - cosine**2) * beside[:, 6]
-        )
-    r.data = replace(r.data, others=others)
-    choice = r._select([], for_noise=False)
-    assert choice.kind == "elastic"
-    worth = np.array(choice.worth)
-    kinds = [key.kind for key, _ in r._groups]
-
-    def told(**gains):
-        for kind, gain in gains.items():
-            worth[kinds.index(kind)] = gain
-        return tuple(r._collinear_kinds(replace(choice, worth=worth), []))
-
-    # what looks alike, of a cosine of 0.95, is a rival where it explains half as much; any other
-    # where the best one is by less than a factor of 150 the likelier
-    assert told(elastic=100.0, offset=51.0, coulomb=51.0, gravity=1.0, drift=1.0, stribeck=1.0) == (
-        "offset",
+    covariance = variance * np.linalg.inv(x.T @ x)[:5, :5]
+    np.testing.assert_allclose(second.coefficients, after[6:], rtol=1e-6)
+    shift = after[:5] - before[:5]
+    for name, gradient in r.gradients.items():
+        exact = gradient @ shift / np.sqrt(gradient @ covariance @ gradient)
+        assert second.moves[name] == pytest.approx(exact, rel=1e-6, abs=1e-9)
+    # in whichever unit, and whatever the value
+    (same, _) = made(
+        effect, seed=2, noise=noise, sizes=np.array([1.0, 3e4, 1e-3, 1.0, 1e-9])
+    ).effects(2)
+    np.testing.assert_allclose(
+        [same.moves[n] for n in AXIS.names], [first.moves[n] for n in AXIS.names], rtol=1e-6
     )
-    assert told(offset=49.0) == ()
-    assert told(gravity=100.0 - 2.0 * np.log(150.0) + 0.1) == ("gravity",)
-    assert told(gravity=100.0 - 2.0 * np.log(150.0) - 0.1) == ()
-    # what was found at any place has none
-    found = made(tone_of, seed=4, noise=Autocorrelation(np.array([0.1])))
-    found._choose_noise(np.random.SeedSequence(1))
-    sinusoidal_disturbance = found._select([], for_noise=False)
-    assert (
-        sinusoidal_disturbance.kind,
-        sinusoidal_disturbance.significant,
-        found._step(sinusoidal_disturbance, []).collinear,
-    ) == (SINUSOID, True, ())
+
+
+def test_parameters_that_are_not_determined_have_no_shift():
+    def change(d):
+        base = d.base.copy()
+        base[:, 0], base[:, 2] = 0.0, 3.0 * base[:, 1]
+        return replace(d, base=base)
+
+    (effect,) = made(effect_of("elastic", 1.0), seed=2, change=change).effects(1)
+    assert set(effect.moves) == {*AXIS.names[3:]}
+
+
+@pytest.mark.parametrize(("size", "rivals"), [(2.0, ("offset",)), (0.55, ("offset", "coulomb"))])
+def test_rivals_are_collinear_or_explain_as_much(size, rivals):
+    """A cosine of 0.95 is collinear; others are rivals within a factor of 150 in likelihood."""
+
+    def change(d):
+        others, rng = d.others.copy(), np.random.default_rng(1)
+        more = rng.standard_normal((others.shape[0], 2))
+        basis = np.linalg.qr(np.column_stack([d.base, others[:, 0], more]))[0]
+        for i, cosine, axis in ((1, 0.955, 6), (4, 0.945, 7)):
+            others[:, i] = cosine * basis[:, 5] + np.sqrt(1 - cosine**2) * basis[:, axis]
+        return replace(d, others=others)
+
+    (effect,) = made(effect_of("elastic", size), seed=2, change=change).effects(1)
+    assert (effect.kind, effect.collinear) == ("elastic", rivals)
 
 
 # Candidates to be marginalised
 
 
-def test_candidates_to_be_marginalised_are_products_of_dense_residuals():
-    r = made(effect_of("elastic", 0.3), seed=2, noise=Autocorrelation(np.array([0.5])))
-    r._choose_noise(np.random.SeedSequence(1))
-    r.steps()
-    found, d = r.missing(), r.data
-    largest = np.abs(d.others).max(axis=0)
+def test_marginalised_candidates_are_products_of_dense_residuals():
+    r = made(effect_of("elastic", 0.3), seed=2, noise=LAGGED)
+    r.effects()
+    missing, d = r.missing(()), r.data
     losses = np.array([key.kind in ("coulomb", "stribeck") for key in d.keys])
-    size = np.where(losses, 0.5, 2.0) / largest
-    np.testing.assert_allclose(np.abs(found.columns).max(axis=0), np.where(losses, 0.5, 2.0))
-    np.testing.assert_allclose(found.columns, d.others * size)
+    size = np.where(losses, 0.5, 2.0) / np.abs(d.others).max(axis=0)
+    np.testing.assert_allclose(missing.columns, d.others * size)
 
-    def products(one):
-        root = np.linalg.inv(np.linalg.cholesky(dense_covariance(one.autocorrelation, one.layout)))
-        x, z, y = root @ one.base, root @ (one.others * size), root @ one.residual
+    def products(one, noise=None):
+        x, z, y = whitened(one, one.base, one.others * size, one.residual, noise=noise)
         q = np.linalg.qr(x)[0]
         return z - q @ (q.T @ z), y - q @ (q.T @ y)
 
-    # by the noise that was chosen before anything was taken in, whatever was taken in since
-    z, y = products(replace(d, autocorrelation=r.noise))
-    np.testing.assert_allclose(found.gram, z.T @ z, rtol=1e-6, atol=1e-6)
-    assert found.power == pytest.approx(y @ y, rel=1e-6)
-    assert found.free == y.size - 5
+    # by the noise that was chosen before anything was included
+    z, y = products(d, r.noise)
+    np.testing.assert_allclose(missing.gram, z.T @ z, rtol=1e-6, atol=1e-6)
+    assert missing.power == pytest.approx(y @ y, rel=1e-6)
+    assert missing.free == y.size - 5
     scores, sds = [], []
     for replicate in r.replicates:
         a, b = products(replicate)
         scores.append(a.T @ b / np.linalg.norm(a, axis=0))
         sds.append(np.sqrt(b @ b / (b.size - 5)))
     mean, spread = np.mean(scores, axis=0), np.std(scores, axis=0, ddof=1) / np.mean(sds)
-    np.testing.assert_allclose(
-        found.scores, z.T @ y - mean * np.linalg.norm(z, axis=0), rtol=1e-6, atol=1e-6
-    )
+    exact = z.T @ y - mean * np.linalg.norm(z, axis=0)
+    np.testing.assert_allclose(missing.scores, exact, rtol=1e-6, atol=1e-6)
     wide = np.sqrt(np.maximum(spread, 1.0) ** 2 + (mean / np.mean(sds)) ** 2 / 4.0)
-    np.testing.assert_allclose(found.spread, wide, rtol=1e-6)
-    kinds = {
-        "elastic": ((0,),),
-        "offset": ((1,),),
-        "gravity": ((2, 3),),
-        "coulomb": ((4,),),
-        "drift": ((5,),),
-        "stribeck": ((6,), (7,)),
-        "beside elastic": ((8,),),
-    }
-    assert found.kinds == kinds
+    np.testing.assert_allclose(missing.spread, wide, rtol=1e-6)
+    kinds = {"elastic": ((0,),), "offset": ((1,),), "gravity": ((2, 3),), "coulomb": ((4,),)}
+    kinds |= {"drift": ((5,),), "stribeck": ((6,), (7,)), "beside elastic": ((8,),)}
+    assert missing.kinds == kinds
 
 
-def test_what_a_motion_does_not_tell_is_not_marginalised_and_what_was_found_is():
-    r = made(tone_of, seed=4)
-    r._choose_noise(np.random.SeedSequence(1))
-    (step,) = r.steps(1)
-    assert (step.kind, step.significant) == (SINUSOID, True)
-    others = r.data.others.copy()
-    hidden = r.data.base @ np.ones(5)
-    others[:, 1] = hidden + 0.9 * 0.015 * np.linalg.norm(hidden) * others[:, 1] / np.linalg.norm(
-        others[:, 1]
-    )
-    others[:, 8] = 0.0
-    r.data = replace(r.data, others=others)
-    found = r.missing()
-    assert found.kinds[SINUSOID] == (tuple(step.columns),)
-    assert not {"offset", "beside elastic"} & set(found.kinds)
-    assert (found.columns[:, 8] == 0.0).all()
-    assert np.isfinite(found.scores).all()
+def test_candidates_collinear_with_the_model_are_neither_tested_nor_marginalised():
+    def change(d):
+        others, hidden = d.others.copy(), d.base @ np.ones(5)
+        unit = others[:, 1] / np.linalg.norm(others[:, 1])
+        others[:, 1] = hidden + 0.9 * 0.015 * np.linalg.norm(hidden) * unit
+        others[:, 8] = 0.0
+        return replace(d, others=others)
+
+    r = made(sinusoid, seed=4, change=change)
+    assert r.indistinguishable == ("offset", DELAY)
+    tested = "elastic", "gravity", "coulomb", "drift", "stribeck"
+    assert r.kinds == (*tested, SINUSOID, TRANSIENT)
+    (effect,) = r.effects(1)
+    missing = r.missing(())
+    assert set(missing.kinds) == {*tested, SINUSOID}
+    assert missing.kinds[SINUSOID] == (tuple(effect.columns),)
+    assert (missing.columns[:, 8] == 0.0).all()
+    assert np.isfinite(missing.scores).all()
 
 
-def test_kinds_that_this_motion_does_not_tell_are_named():
-    r = made(seed=2)
-    assert r.indistinguishable == (DELAY,)
-    assert r.kinds == (
-        "elastic",
-        "offset",
-        "gravity",
-        "coulomb",
-        "drift",
-        "stribeck",
-        SINUSOID,
-        TRANSIENT,
-    )
-    r._groups = r._groups[1:]
-    assert r.indistinguishable == ("elastic", DELAY)
-
-
-# Noise
-
-
-@pytest.mark.parametrize(
-    "autocorrelation",
-    [WHITE, Autocorrelation(np.array([0.7])), Autocorrelation(np.array([0.4]), 0.7)],
-)
+@pytest.mark.parametrize("noise", [WHITE, LAGGED])
 @pytest.mark.parametrize("sensors", [0.0, 0.6, 3.0])
-def test_twins_are_given_so_much_noise_that_they_leave_what_the_recording_does(
-    autocorrelation, sensors
-):
+def test_replicates_have_as_much_noise_as_the_recording(noise, sensors):
     """Less what their sensors make of it; at least a tenth of the power is noise."""
-    r = made(seed=1, noise=autocorrelation)
     rng = np.random.default_rng(9)
-    level = mean_square(left_of(r.data, 4), 6)
-    r._clean = [
-        np.sqrt(sensors * level) * rng.standard_normal(t.residual.size) for t in r.replicates
-    ]
-    r._add_noise(autocorrelation, [4], np.random.SeedSequence(3))
-    added = [t.residual - clean for t, clean in zip(r.replicates, r._clean, strict=True)]
-    own = np.mean(
-        [
-            mean_square(left_of(replace(t, residual=c), 4), 6)
-            for t, c in zip(r.replicates, r._clean, strict=True)
-        ]
+
+    def change(d):
+        if d.residual.any():
+            return d
+        return replace(d, residual=np.sqrt(sensors) * rng.standard_normal(d.residual.size))
+
+    r = made(seed=1, noise=noise, change=change)
+    rng = np.random.default_rng(9)
+    clean = [np.sqrt(sensors) * rng.standard_normal(t.residual.size) for t in r.replicates]
+    level = mean_square(r.data.residual_with([]), 5)
+    own = np.mean([mean_square(replace(r.data, residual=x).residual_with([]), 5) for x in clean])
+    power = max(level - own, 0.1 * level) / r.noise.variance(r.data.layout)
+    drawn = np.random.default_rng(np.random.SeedSequence(1001))
+    for t, sensor in zip(r.replicates, clean, strict=True):
+        exact = np.sqrt(power) * r.noise.drawn(t.layout, drawn)
+        np.testing.assert_allclose(t.residual - sensor, exact, rtol=1e-6, atol=1e-9)
+        own_noise, _ = choose_autocorrelation(t.residual_with([]), t.layout)
+        np.testing.assert_allclose(t.autocorrelation.partial, own_noise.partial, rtol=1e-6)
+
+
+# The design matrix
+
+PERIOD, FACTOR = 0.004, 5
+SETTINGS = {"lowpass": 30.0, "order": 2, "reach": 8, "band": 12.0}
+
+
+def exact_recording(name, n, begin=0.0):
+    """Record a known motion; the measured torque passes the parallel filter."""
+    time = PERIOD * np.arange(n)
+    motion = swing(time + begin, ((0.4, 1.0), (1.3, 0.3)))
+    torque = inverse_torque(AXIS, TRUTH, *motion)
+    torque = torque + 0.02 * np.random.default_rng(1).standard_normal(n)
+    windows = lay_windows(parallel_taps(FACTOR, None, 250.0), ((0, n),), FACTOR, np.ones(n, bool))
+    o = made_observation(
+        name, time, motion, torque, windows, FACTOR * PERIOD, Inputs(), settings=SETTINGS
     )
-    exact = max(level - own, 0.1 * level)
-    drawn = np.random.default_rng(np.random.SeedSequence(3))
-    series = np.concatenate([autocorrelation.drawn(r.data.layout, drawn) for _ in r.replicates])
-    np.testing.assert_allclose(
-        np.concatenate(added), series * np.sqrt(exact / autocorrelation.variance(r.data.layout))
-    )
+    return o, made_recording(time, motion[0], torque, PERIOD, name=name)
 
 
-@pytest.mark.parametrize(
-    "kinds", [(), ("elastic",), ("elastic", "offset"), ("elastic", "offset", "coulomb", "stribeck")]
-)
-def test_the_noise_is_that_of_the_best_residual_when_one_after_the_other_is_taken(kinds):
-    """By its criterion, what was taken counted as parameters, and ten for each choice."""
-    effects = [
-        effect_of(kind, 0.3 + 0.1 * i, "slow" * (kind == "stribeck"))
-        for i, kind in enumerate(kinds)
-    ]
-
-    def effect(d):
-        return sum((one(d) for one in effects), np.zeros(d.residual.size))
-
-    noise, stream = Autocorrelation(np.array([0.5])), np.random.SeedSequence(1)
-    r, by_hand = (made(effect, seed=8, noise=noise) for _ in range(2))
-    r._choose_noise(stream)
-    by_hand._add_noise(WHITE, [], stream)
-    taken = [[]]
-    for choice, extra in by_hand._forward_selection(8, for_noise=True):
-        if not choice.significant:
-            break
-        taken.append([*extra, *choice.columns])
-    d, found = by_hand.data, []
-    for picks, extra in enumerate(taken):
-        autocorrelation, bic = choose_autocorrelation(left_of(d, *extra), d.layout)
-        found.append(
-            (bic + len(extra) * np.log(d.residual.size) + 10.0 * picks, autocorrelation, extra)
-        )
-    _, autocorrelation, extra = min(found, key=lambda one: one[0])
-    np.testing.assert_allclose(r.noise.partial, autocorrelation.partial, rtol=1e-6)
-    assert r.noise.drift == autocorrelation.drift
-    # replicates then have that noise beside what was taken, and each its own autocorrelation
-    by_hand._add_noise(autocorrelation, extra, stream)
-    for one, other in zip(r.replicates, by_hand.replicates, strict=True):
-        np.testing.assert_allclose(one.residual, other.residual, rtol=1e-6)
-        own, _ = choose_autocorrelation(left_of(other, *extra), other.layout)
-        np.testing.assert_allclose(one.autocorrelation.partial, own.partial, rtol=1e-6)
+PAIR = exact_recording("one", 1200), exact_recording("two", 800, 1.1)
 
 
-def test_what_is_in_one_recording_alone_names_it():
-    r = made(effect_of("elastic", 1.0), seed=2)
-    choice = r._select([], for_noise=False)
-    for shape, recording in (("in two", "two"), ("in one", "one"), ("in", ""), ("", "")):
-        assert r._step(replace(choice, shape=shape), []).recording == recording
-    # rivals are looked for of what is sure alone
-    assert r._step(replace(choice, significant=False), []).collinear == ()
+def built(monkeypatch, replicate=lambda k, o: replace(o, measured=o.measured + 0.01 * k), **more):
+    """Set up the regression of a pair of recordings with given replicates."""
+
+    def simulated(chain, vectors, r, o, processing, seeds):  # noqa: ARG001
+        yield from (replicate(k, o) for k, _ in enumerate(seeds))
+
+    monkeypatch.setattr(regression, "replicates", simulated)
+    observations, recordings = zip(*PAIR, strict=True)
+    arguments = {"values": TRUTH, "known": ("motor.viscous",), "number": 6} | more
+    return regression_of(AXIS, recordings, observations, Processing(), **arguments)
+
+
+def test_the_models_columns_are_derivatives_of_its_filtered_torque(monkeypatch):
+    off = TRUTH * [1.1, 0.9, 1.0, 1.2, 1.0]
+    r, _ = built(monkeypatch, values=off)
+    for o, base, residual in zip(
+        [o for o, _ in PAIR], *map(r.data.layout.split, (r.data.base, r.data.residual)), strict=True
+    ):
+        now = inverse_torque(AXIS, off, o.q, o.qd, o.qdd)
+        np.testing.assert_allclose(residual, o.measured - o.filter.apply(now), atol=1e-12)
+        x = [o.qdd, 0.0 * o.q, np.sign(o.qd), 9.80665 * np.sin(o.q), np.ones_like(o.q)]
+        exact = np.stack([o.filter.apply(column) for column in x], axis=1)
+        np.testing.assert_allclose(base[:, [0, 2, 4]], exact[:, [0, 2, 4]], atol=1e-5)
+        np.testing.assert_allclose(base[:, 3], exact[:, 3], rtol=1e-2, atol=1e-3)
+        assert not base[:, 1].any()  # which is known
+    assert "motor.viscous" not in r.gradients
+    # and of derived quantities
+    observations = [o for o, _ in PAIR]
+    gradients = reported_gradients(AXIS, TRUTH, observations)
+    load = typical_load(AXIS, observations, TRUTH)
+    steps = np.diag(1e-3 * TRUTH)
+    for q in derive(AXIS, np.concatenate([TRUTH + steps, TRUTH - steps]), load):
+        slopes = (q.values[:5] - q.values[5:]) / (2e-3 * TRUTH)
+        np.testing.assert_allclose(gradients[q.name], slopes, rtol=1e-4, atol=1e-9)
+
+
+def test_candidates_pass_the_filter_of_the_torque(monkeypatch):
+    r, _ = built(monkeypatch)
+    blocks = r.data.layout.split(r.data.others)
+    for (o, recording), block in zip(PAIR, blocks, strict=True):
+        motion = MotionSignals(AXIS, TRUTH, o, recording, r.scales)
+        for kind in KINDS:
+            for shape, raw in kind.shapes(motion).items():
+                at = [
+                    i for i, k in enumerate(r.data.keys)
+                    if (k.kind, k.shape, k.nuisance, k.delay) == (kind.name, shape, False, 0.0)
+                ]  # fmt: skip
+                filtered = [o.filter.apply(x) for x in raw]
+                np.testing.assert_allclose(block[:, at].T, filtered, rtol=1e-9, atol=1e-12)
+
+
+def test_samples_that_are_not_finite_count_as_zero():
+    (o, _), _ = PAIR
+    x = np.cos(o.stamps)
+    holed = np.where(np.arange(x.size) % 97 == 5, np.nan, x)
+    many = [0.0 * x, x, holed, *[x * k for k in range(1, 12)]]
+    exact = [o.filter.apply(np.where(np.isfinite(raw), raw, 0.0)) for raw in many]
+    np.testing.assert_allclose(filtered_columns(o, many).T, exact, atol=1e-12)
+
+
+def test_replicates_have_parameters_that_the_recordings_allow(monkeypatch):
+    """Normal about the estimate, by its covariance, but for widths beyond a tenth."""
+    # little is known of the offset, whose column is small
+    values = TRUTH * [1.0, 1.0, 1.0, 1.0, 1e-3]
+    data = built(monkeypatch, values=values)[0].data
+    drawn = draw_parameters(AXIS, values, data, 4000, np.random.default_rng(1))
+    assert drawn.shape == (4000, 5)
+    np.testing.assert_array_equal(drawn[:, 1], values[1])  # which is known
+    x, free = data.base, [0, 2, 3, 4]
+    left = data.residual - x @ np.linalg.lstsq(x, data.residual)[0]
+    variance = left @ left / (left.size - 5)
+    rows = x[:, free] * np.abs(values[free])
+    power, vectors = np.linalg.eigh(rows.T @ rows)
+    determined = power > 1e-7 * power.max()
+    sds = np.minimum(np.sqrt(variance / power[determined]), 0.1)
+    assert (sds == 0.1).any() or determined.sum() < 4
+    exact = (vectors[:, determined] * sds**2) @ vectors[:, determined].T
+    relative = (drawn[:, free] - values[free]) / values[free]
+    covariance, scale = relative.T @ relative / 4000, np.diag(exact).max()
+    np.testing.assert_allclose(covariance, exact, atol=5.0 * np.sqrt(2.0 / 4000) * scale)
+    np.testing.assert_allclose(np.diag(covariance)[:3], np.diag(exact)[:3], rtol=0.12)
+    # none is below zero that cannot be
+    low = np.array([p.lower for p in AXIS.parameters])
+    small, noisy = np.where(np.isfinite(low), 1e-9, values), replace(data, residual=1e3 * left)
+    assert (draw_parameters(AXIS, small, noisy, 99, np.random.default_rng(1)) >= low).all()
+
+
+def test_replicates_that_are_missing_or_too_short_are_left_out(monkeypatch):
+    least = 5 + LEAST_OUTPUTS
+
+    def short(o, n):
+        windows = replace(o.filter, starts=o.filter.starts[:n], gains=o.filter.gains[:n])
+        cut = {key: getattr(o, key)[:n] for key in ("time", "measured", "speed", "segment_of")}
+        return replace(o, filter=windows, **cut)
+
+    def losing(lost):
+        def replicate(k, o):
+            first = o.name == "one"
+            if k < lost and first:
+                return None
+            if k in (lost, lost + 1):
+                return short(o, least - 10 if first else 9 + (k - lost))
+            return replace(o, measured=o.measured + 0.01 * k)
+
+        return built(monkeypatch, replicate, number=8)[1]
+
+    simulated = losing(1)
+    assert len(simulated) == 6
+    assert simulated[0].layout.outputs == least
+    # at least half must remain
+    assert len(losing(3)) == 4
+    with pytest.raises(ReplicateError):
+        losing(4)

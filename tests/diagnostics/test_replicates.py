@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.replicates import fixed_processing, replicates
-from bayesfric.fit.model import Model
+from bayesfric.diagnostics.replicates import fixed_processing, replicate_motion, replicates
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.measurement import Signal
+from bayesfric.recordings.filters import finest_step, lay_windows
+from bayesfric.recordings.measurement import Inputs, Signal
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.resolution import finest_step
+from bayesfric.recordings.source import Processing
+from tests.axis import swing
+from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import TRUTH, axis, draws_about, model
 
 VALUES = np.array([TRUTH[name] for name in axis().names])
@@ -31,13 +33,6 @@ def replayed(made, values, recording=None, observation=None):
             made.chain, values, recording, observation or made.observations[0], processing, seeds
         )
     )
-
-
-def test_a_replay_keeps_to_the_recorded_motion(made):
-    recorded = made.observations[0]
-    for seen in replayed(made, draws_about(VALUES, 0.1)):
-        assert np.std(seen.q - recorded.q) < 0.02 * np.std(recorded.q)
-        assert seen.filter.n_outputs == pytest.approx(recorded.filter.n_outputs, rel=0.05)
 
 
 def test_the_torque_of_a_replay_is_what_made_its_motion(made):
@@ -62,31 +57,6 @@ def test_a_replay_is_read_in_the_steps_of_the_recording(made):
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
 
-def test_each_segment_is_replayed_from_its_own_state(made):
-    recording, processing = made.recordings[0], made.config.tables.processing
-    halves = replace(recording, segments=((0, 2400), (2400, recording.time.size)))
-    observation = made.observations[0]
-    (seen,) = replicates(
-        made.chain,
-        VALUES[None],
-        halves,
-        replace(observation, segment_of=(observation.filter.starts >= 2400).astype(int)),
-        fixed_processing(processing, observation),
-        np.random.SeedSequence(1).spawn(1),
-    )
-    assert seen.settings["n_segments"] == 2
-    assert np.std(seen.q - observation.q) < 0.02 * np.std(observation.q)
-
-
-def test_a_gain_of_the_drive_divides_the_torque():
-    made = model(joint=axis(gain=True))
-    values = np.array([[{**TRUTH, "drive.gain": g}[n] for n in made.chain.names] for g in (1, 2)])
-    # of the same random numbers
-    (one,), (other,) = replayed(made, values[:1]), replayed(made, values[1:])
-    np.testing.assert_array_equal(one.q, other.q)
-    np.testing.assert_allclose(one.torque, 2.0 * other.torque, atol=1e-9 * np.std(one.torque))
-
-
 def test_a_measured_velocity_is_replayed_too(made):
     recording, observation = made.recordings[0], made.observations[0]
     rng = np.random.default_rng(2)
@@ -98,27 +68,11 @@ def test_a_measured_velocity_is_replayed_too(made):
     assert np.std(seen.qd - seen_so.qd) < 0.1 * np.std(seen_so.qd)
 
 
-def test_a_joint_of_little_inertia_and_much_friction_has_its_motion():
-    """A geared wrist: simulated under any torque that is a little off it jerks and sticks."""
-    light = axis()
-    t = np.arange(5000) / 500.0
-    q = 0.3 * np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 1.9 * t)
-    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
-    values = VALUES * np.where([n == "motor.inertia" for n in light.names], 1e-3, 1.0)
-    torque = inverse_torque(light, values, q, qd, qdd)
-    torque += 0.1 * np.std(torque) * np.random.default_rng(1).standard_normal(t.size)
-    wrist = Model(light, bf.Recording.from_arrays(t, q, torque, side="joint"))
-    recorded = wrist.observations[0]
-    for seen in replayed(wrist, draws_about(values, 0.05)):
-        assert np.std(seen.q - recorded.q) < 0.01 * np.std(recorded.q)
-        assert np.std(seen.qdd) == pytest.approx(np.std(recorded.qdd), rel=0.01)
-
-
 def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):
     values = draws_about(VALUES)
     values[1, made.chain.names.index("motor.viscous")] = np.nan
-    found = replayed(made, values)
-    assert [seen is None for seen in found] == [False, True, False, False]
+    result = replayed(made, values)
+    assert [seen is None for seen in result] == [False, True, False, False]
 
 
 def test_a_torque_beside_the_motion_is_sampled_when_the_motion_is(made):
@@ -132,3 +86,67 @@ def test_a_torque_beside_the_motion_is_sampled_when_the_motion_is(made):
             made.chain, VALUES, seen.q, seen.qd, seen.qdd, inputs=seen.inputs, time=seen.stamps
         )
         assert np.std(seen.measured - seen.filter.apply(torque)) < 2e-3 * np.std(seen.measured)
+
+
+# Motion and torque, exactly
+
+PERIOD, N, RATIO = 0.002, 1500, 10.0
+LINES = ((0.6, 1.0), (1.7, 0.2))
+EXACT = {"motor.inertia": 2e-3, "motor.viscous": 4e-3, "load.first_moment": 0.4, "offset": 0.03}
+SETTINGS = {
+    "lowpass": 40.0, "order": 3, "band": 15.0, "noise_seen": 1e-4, "delay": 0.0,
+    "decimate": 5, "dead_zone": 0.1, "trim": 0.02, "motion": "refined",
+}  # fmt: skip
+
+
+def geared(**more):
+    motor = bf.Element("motor", inertia=True, viscous=True, ratio=RATIO)
+    return bf.Joint([motor], bf.Load(first_moment=True), offset=True, **more)
+
+
+def bench(chain=None, settings=SETTINGS, segments=((0, 900), (900, N)), late=0.0, **values):
+    """A recording whose motion and torque are known exactly."""
+    chain, time = chain or geared(), 1.0 + PERIOD * np.arange(N)
+    known = {"drive.gain": 1.0, chain.delay_name: late} | EXACT | values
+    values = chain.vector({name: known[name] for name in chain.names})
+    inputs = Inputs(torque_rate=Signal(time, np.sin(time)))
+    taken = lay_windows(np.ones(1), segments, 5, np.ones(N, bool))
+    q, qd, qdd = swing(time, LINES)
+    plain = inverse_torque(geared(), geared().vector(EXACT), q, qd, qdd)
+    o = made_observation(
+        "one", time, (q, qd, qdd), plain, taken, 5 * PERIOD, inputs, settings=settings
+    )
+    return chain, values, made_recording(time, q, plain, PERIOD, segments=segments), o
+
+
+@pytest.mark.parametrize("late", [None, 0.008])
+@pytest.mark.parametrize("phase", [0.0, 0.4, -0.3])
+def test_a_twin_moves_as_recorded_by_the_torque_that_this_needs(late, phase):
+    """At other instants; exactly, by derivatives of the motion; recorded earlier by a delay."""
+    chain, values, recording, o = bench(geared(delay=late is not None), late=late or 0.0)
+    then = o.stamps - phase * PERIOD
+    q, qd, torque = replicate_motion(chain, values, recording, o, phase)
+    for result, exact in zip((q, qd), swing(then, LINES), strict=False):
+        np.testing.assert_allclose(result, exact, atol=1e-6 * np.abs(exact).max())
+    inner = np.r_[30:870, 930 : N - 30]
+    size = np.abs(torque).max()
+    exact = exact_torque(then + (late or 0.0))
+    np.testing.assert_allclose(torque[inner], exact[inner], atol=1e-5 * size)
+
+
+def exact_torque(time):
+    return inverse_torque(geared(), geared().vector(EXACT), *swing(time, LINES))
+
+
+@pytest.mark.parametrize("few", [1, 2, 3, 4, 7])
+def test_a_short_segment_is_one_polynomial(few):
+    chain, values, recording, o = bench(segments=((0, 900), (900, 900 + few), (900 + few, N)))
+    q, *_ = replicate_motion(chain, values, recording, o, 0.0)
+    np.testing.assert_allclose(q, o.q, atol=1e-9)
+
+
+def test_twins_are_filtered_as_the_recording_was():
+    *_, o = bench()
+    result = fixed_processing(Processing(lowpass="10 Hz", order=2), o)
+    assert (result.lowpass, result.decimate, result.dead_zone, result.trim) == (40.0, 5, 0.1, 0.02)
+    assert result.order == 2

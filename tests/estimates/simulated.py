@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesfric.mechanism.excitation import multisine, square
+from bayesfric.mechanism.experiment import multisine, square
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import observe

@@ -50,8 +50,8 @@ def test_losses_are_collinear_where_none_is_identified(motor, gearbox, known, co
 def test_they_are_refused_before_anything_is_sampled():
     """In series, with nothing between them, they are one number."""
     options = {"rate": 200, "duration": 10, "excitation": "multisine", "torque_noise": 0.01}
-    frame = bf.Joint.preset("servo-pendulum").simulate(
-        {"gearbox.load": 0.2}, encoder_side="joint", **options
+    frame = bf.simulate(
+        bf.Joint.preset("servo-pendulum"), {"gearbox.load": 0.2}, encoder_side="joint", **options
     )
     recording = bf.Recording.from_dataframe(
         frame, time="time", position="position", torque="torque"

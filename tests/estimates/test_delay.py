@@ -10,11 +10,10 @@ import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.processing import settled_delay
-from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.excitation import current_loop, multisine
-from bayesfric.mechanism.forward import simulate
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.experiment import current_loop, multisine
+from bayesfric.mechanism.forward import follow, simulate
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Law
 from tests.axis import AXIS, VALUES, recording_of
 
@@ -79,8 +78,8 @@ def test_load_losses_do_not_bend_the_delay_that_recordings_are_timed_by(late):
         "load.gravity_angle": -1.57,
         "drive.delay": late,
     }
-    frame = joint.simulate(
-        values, rate=200, excitation="multisine", amplitude=120.0, seed=1, duration=30
+    frame = bf.simulate(
+        joint, values, rate=200, excitation="multisine", amplitude=120.0, seed=1, duration=30
     )
     model = bf.Model(joint, recording_of(frame, name="one"))
     row = model.estimate("input-error").loc["drive.delay"]

@@ -6,7 +6,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.processing import fine_motion
-from bayesfric.mechanism.excitation import current_loop, multisine
+from bayesfric.mechanism.experiment import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lowpass

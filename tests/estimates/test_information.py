@@ -1,10 +1,157 @@
-"""Standard deviations: plain and correlated, null directions, groups, gaps, told values."""
+"""Standard deviations and sums over time and groups, each written out as a double sum."""
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 from scipy.signal import lfilter
 
-from bayesfric.estimates.information import Information, long_run_variance
+from bayesfric.estimates.autoregression import lag_one, long_run_variance
+from bayesfric.estimates.information import Information, directions
+
+
+def kernel(x):
+    """Quadratic spectral kernel, Andrews (1991), eq. 2.7."""
+    y = 6.0 * np.pi * x / 5.0
+    return 1.0 if y < 1e-4 else 25.0 / (12.0 * (np.pi * x) ** 2) * (np.sin(y) / y - np.cos(y))
+
+
+def written_out(score, places):
+    """Every pair of terms, weighed by how far apart they stand, Andrews's eqs. 6.2 and 6.4."""
+    pairs = [(i, i + 1) for i in range(score.size - 1) if places[i + 1] == places[i] + 1]
+    rho = 0.0
+    if pairs:
+        mean = sum(score[i] * score[j] for i, j in pairs) / len(pairs)
+        rho = np.clip(mean / np.mean(score**2), -0.97, 0.97)
+    width = 1.3221 * (4.0 * rho**2 / (1.0 - rho) ** 4 * score.size) ** 0.2
+    total = 0.0
+    for i, a in enumerate(score):
+        for j, b in enumerate(score):
+            if i == j:
+                total += a * b
+            elif width > 0.0:
+                total += kernel(abs(places[i] - places[j]) / width) * a * b
+    return max(total, 0.0)
+
+
+@pytest.mark.parametrize("rho", [-0.6, 0.0, 0.4, 0.9])
+def test_the_long_run_variance_is_the_weighted_sum_of_all_pairs(rho):
+    rng = np.random.default_rng(1)
+    score = rng.standard_normal(120)
+    for i in range(1, 120):
+        score[i] += rho * score[i - 1]
+    for gaps in ([], [3], [40, 41, 90]):
+        places = 7 + np.arange(120) + np.searchsorted(gaps, np.arange(120)) * 6
+        expected = written_out(score, places)
+        assert long_run_variance(score, places) == pytest.approx(expected, rel=1e-5)
+    assert long_run_variance(score[:1], np.array([5])) == pytest.approx(score[0] ** 2)
+    assert long_run_variance(0.0 * score, places) == 0.0
+
+
+def problem(known=0, twins=False):
+    """Random Jacobian in very different units, correlated residuals, and what is known."""
+    rng = np.random.default_rng(2)
+    units = np.array([1.0, 1e-4, 1e3, 0.2])
+    jacobian = rng.standard_normal((90, 4)) / units
+    if twins:
+        jacobian[:, 3] = 2.0 * jacobian[:, 2]
+    residual = np.convolve(rng.standard_normal(92), [1.0, 1.0, 1.0], "valid")
+    rows = np.eye(4)[:known] / np.array([0.5, 1e-4, 1.0, 1.0])[:known, None]
+    return jacobian, residual, units, rows
+
+
+@pytest.mark.parametrize("known", [0, 2])
+@pytest.mark.parametrize("lost", [0, 9])
+def test_sds_are_the_sandwich_s(known, lost):
+    jacobian, residual, units, rows = problem(known)
+    places = np.arange(90) + 30 * (np.arange(90) > 50)
+    found = Information(jacobian, residual, units, places=places, known=rows, lost=lost)
+    freedom = 90 - 4 - lost
+    variance = residual @ residual / freedom
+    assert found.freedom == freedom
+    assert found.sigma == pytest.approx(np.sqrt(variance))
+    whole = jacobian.T @ jacobian + variance * rows.T @ rows
+    for gradient in (*np.eye(4), np.array([1.0, -2e4, 1e-3, 3.0])):
+        weight = np.linalg.solve(whole, gradient)
+        effect, told = jacobian @ weight, variance**2 * np.sum((rows @ weight) ** 2)
+        plain, robust = found.sds(gradient)
+        assert plain == pytest.approx(np.sqrt(variance * gradient @ weight), rel=1e-6)
+        meat = 90.0 / freedom * written_out(effect * residual, places)
+        assert robust == pytest.approx(np.sqrt(meat + told), rel=1e-5)
+        assert found.directions.sd(gradient) == pytest.approx(plain / np.sqrt(variance), rel=1e-6)
+
+
+def test_no_residual_is_told_better_than_it_is_read():
+    jacobian, residual, units, _ = problem()
+    coarse = Information(jacobian, residual, units, least=10.0)
+    fine = Information(jacobian, residual, units, least=1e-3)
+    assert coarse.sigma == 10.0
+    assert fine.sigma == pytest.approx(np.sqrt(residual @ residual / 86))
+    assert Information(jacobian[:3], residual[:3], units).freedom == 1
+
+
+@pytest.mark.parametrize("twins", [False, True])
+def test_groups_are_weighed_by_what_they_leave_to_others(twins):
+    """Bell and McCaffrey: ``(1 - H)^(-1/2)`` of a group's own residuals, where one leaves any."""
+    jacobian, residual, units, _ = problem(twins=twins)
+    group = np.random.default_rng(3).permutation(np.repeat(np.arange(15), 6))
+    found = Information(jacobian, residual, units, groups=group + 4)
+    seen = jacobian[:, :3] if twins else jacobian
+    inverse = np.linalg.inv(seen.T @ seen)
+    meat = np.zeros((seen.shape[1], seen.shape[1]))
+    for k in range(15):
+        own = seen[group == k]
+        values, vectors = np.linalg.eigh(np.eye(6) - own @ inverse @ own.T)
+        root = vectors / np.sqrt(values) @ vectors.T
+        score = own.T @ root @ residual[group == k]
+        meat += np.outer(score, score)
+    covariance = inverse @ meat @ inverse
+    for j, row in enumerate(np.eye(4)[: 2 if twins else 4]):
+        assert found.sds(row)[1] == pytest.approx(np.sqrt(covariance[j, j]), rel=1e-6)
+    if twins:
+        assert found.sds(np.eye(4)[3]) == (np.inf, np.inf)
+        assert found.sds(np.array([0.0, 0.0, 1.0, 2.0]))[1] == pytest.approx(
+            np.sqrt(covariance[2, 2]), rel=1e-6
+        )
+
+
+def test_what_theory_says_is_open_is_open_whatever_differences_say():
+    """A direction whose derivatives are only nearly zero; functions that do not change along it."""
+    jacobian, residual, units, _ = problem()
+    along = np.array([0.5, 2e-4, -1e3, 0.1])
+    off = null_space((along / units)[None])
+    blurred = (jacobian * units) @ (off @ off.T) / units
+    blurred += 1e-4 * jacobian
+    found = directions(blurred, units, known_null=along[None])
+    assert found.null.tolist() == [False, False, False, True]
+    assert abs(found.rows[3] @ (along / units)) == pytest.approx(np.linalg.norm(along / units))
+    assert not directions(blurred, units).null.any()
+    # the told rows make the same information as what is seen off that direction
+    seen = (blurred * units) @ off @ off.T
+    np.testing.assert_allclose(found.identified.T @ found.identified, seen.T @ seen, atol=1e-9)
+    gradient = np.array([1.0, 3e3, 2e-3, 1.0])
+    left = found.off_known(gradient)
+    assert left @ along == pytest.approx(0.0, abs=1e-12)
+    # what is taken off points along it, in units
+    taken, way = (gradient - left) * units, along / units
+    np.testing.assert_allclose(taken, way * (taken @ way) / (way @ way), rtol=1e-9)
+    assert found.solve(gradient) is None
+    expected = np.linalg.pinv(seen.T @ seen) @ (left * units) * units
+    np.testing.assert_allclose(found.solve(left), expected, rtol=1e-6)
+    assert directions(jacobian, units).off_known(gradient) is gradient
+    information = Information(blurred, residual, units, known_null=along[None])
+    assert information.freedom == 90 - 3
+
+
+def test_neighbours_correlation_is_the_mean_of_their_products():
+    rng = np.random.default_rng(5)
+    x = rng.standard_normal(40)
+    follows = np.ones(39, dtype=bool)
+    follows[[4, 20]] = False
+    products = [x[i] * x[i + 1] for i in range(39) if i not in (4, 20)]
+    assert lag_one(x, follows) == pytest.approx(np.mean(products) / np.mean(x**2))
+    assert np.isnan(lag_one(0.0 * x, follows))
+    assert np.isnan(lag_one(x[:10], follows[:9]))
+    assert np.isfinite(lag_one(x[21:32], follows[21:31]))
 
 
 def autoregression(rng, n, rho, burn=200):
@@ -26,37 +173,17 @@ def fit(x, y):
     return solution, y - x @ solution
 
 
-def test_plain_sds_are_the_textbooks():
-    rng = np.random.default_rng(1)
-    x = rng.standard_normal((200, 3)) * [1.0, 1e-4, 1e3]
-    solution, residual = fit(x, x @ [1.0, 2.0, 3.0] + rng.standard_normal(200))
-    information = Information(x, residual, np.abs(solution))
-    sigma2 = residual @ residual / 197
-    expected = np.sqrt(np.diag(np.linalg.inv(x.T @ x / np.outer([1, 1e-4, 1e3], [1, 1e-4, 1e3]))))
-    for j in range(3):
-        sd, _ = information.sds(np.eye(3)[j])
-        assert sd == pytest.approx(np.sqrt(sigma2) * expected[j] / [1, 1e-4, 1e3][j], rel=1e-9)
-    # a combination has the variance of its gradient
-    gradient = np.array([1.0, -2e-4, 1e3])
-    covariance = sigma2 * np.linalg.inv(x.T @ x)
-    assert information.sds(gradient)[0] == pytest.approx(
-        np.sqrt(gradient @ covariance @ gradient), rel=1e-6
-    )
-    assert information.sds(np.zeros(3)) == (0.0, 0.0)
-
-
-@pytest.mark.parametrize("n", [600, 4000])
-def test_robust_sds_are_those_of_autoregressive_errors(n):
-    rho, repeats = 0.7, 300
+def test_robust_sds_are_those_of_autoregressive_errors():
+    n, rho, repeats = 600, 0.7, 300
     x = regressors(n)
     rng = np.random.default_rng(11)
-    found, claimed, plain = (np.empty((repeats, 3)) for _ in range(3))
+    estimated, claimed, plain = (np.empty((repeats, 3)) for _ in range(3))
     for i in range(repeats):
         solution, residual = fit(x, autoregression(rng, n, rho))
         information = Information(x, residual, np.ones(3))
         sds = np.array([information.sds(row) for row in np.eye(3)])
-        found[i], plain[i], claimed[i] = solution, sds[:, 0], sds[:, 1]
-    spread = found.std(axis=0, ddof=1)
+        estimated[i], plain[i], claimed[i] = solution, sds[:, 0], sds[:, 1]
+    spread = estimated.std(axis=0, ddof=1)
     # Andrews 1991: bias of the variance -1.4212 sqrt(alpha)/S² with the kernel's width S,
     # and about -S d/n because residuals are less correlated than errors
     alpha = 4 * rho**2 / (1 - rho) ** 4
@@ -68,54 +195,6 @@ def test_robust_sds_are_those_of_autoregressive_errors(n):
     assert (ratio > np.sqrt(1.0 - bias) - error).all()
     # the plain sd is too small by about sqrt((1 + rho)/(1 - rho)) = 2.4 on slow regressors
     assert (spread / plain.mean(axis=0) > 2.0).all()
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.7, -0.5])
-def test_long_run_variance_is_that_of_the_closed_form(rho):
-    """Variance of a sum of n of an AR(1) with innovations of one: n/(1 - rho)²."""
-    n, repeats = 20_000, 20
-    rng = np.random.default_rng(3)
-    found = [
-        long_run_variance(autoregression(rng, n, rho), np.arange(n)) / n for _ in range(repeats)
-    ]
-    alpha = 4 * rho**2 / (1 - rho) ** 4
-    width = 1.3221 * max(alpha * n, 1.0) ** 0.2
-    expected = 1.0 / (1.0 - rho) ** 2
-    # Andrews 1991, (3.2): bias and variance for the quadratic spectral kernel. The bias is
-    # first order in 1/S²; a quarter of it is left for higher orders.
-    bias = -1.4212 * 2 * rho / (1 - rho) ** 2 / width**2
-    error = 5 * np.sqrt(2 * width / n / repeats)
-    assert np.mean(found) / expected - 1.0 == pytest.approx(bias, abs=error + 0.25 * abs(bias))
-
-
-def test_neighbours_across_a_gap_are_no_neighbours():
-    """Samples far apart are uncorrelated, whatever stands next to them in memory."""
-    rng = np.random.default_rng(5)
-    series = rng.standard_normal(4000)
-    together = long_run_variance(series, np.arange(4000))
-    # spread so that no two are neighbours: nothing but the sum of squares is left
-    apart = long_run_variance(series, np.arange(4000) * 50)
-    assert apart == pytest.approx(series @ series, rel=1e-9)
-    assert together == pytest.approx(series @ series, rel=0.3)
-
-
-def test_groups_take_any_correlation_within():
-    """All members of a group share one error: the sd is that of the groups' means."""
-    groups, size, repeats = 80, 25, 300
-    number = np.repeat(np.arange(groups), size)
-    rng = np.random.default_rng(6)
-    level = rng.standard_normal(groups)
-    x = np.stack([np.ones(number.size), level[number]], axis=1)
-    found, claimed = np.empty((repeats, 2)), np.empty((repeats, 2))
-    for i in range(repeats):
-        errors = rng.standard_normal(groups)[number] + 0.1 * rng.standard_normal(number.size)
-        solution, residual = fit(x, errors)
-        information = Information(x, residual, np.ones(2), groups=number)
-        found[i] = solution
-        claimed[i] = [information.sds(row)[1] for row in np.eye(2)]
-    ratio = np.sqrt((claimed**2).mean(axis=0)) / found.std(axis=0, ddof=1)
-    # cluster sums lose a leverage of about d/groups each
-    np.testing.assert_allclose(ratio, 1.0, atol=5 / np.sqrt(2 * repeats) + 2 * 2 / groups)
 
 
 def test_too_few_groups_fall_back_on_neighbours():
@@ -138,37 +217,13 @@ def test_null_directions_have_no_sd_and_what_is_across_them_has():
     assert information.freedom == 298
     assert information.sds(np.array([0.0, 1.0, 0.0])) == (np.inf, np.inf)
     assert information.sds(np.array([0.0, 0.0, 1.0])) == (np.inf, np.inf)
-    seen = Information(x, residual, np.ones(2))
+    direct = Information(x, residual, np.ones(2))
     assert information.sds(np.array([0.0, 1.0, 2.0])) == pytest.approx(
-        seen.sds(np.array([0.0, 1.0])), rel=1e-9
+        direct.sds(np.array([0.0, 1.0])), rel=1e-9
     )
     assert information.sds(np.array([1.0, 0.0, 0.0])) == pytest.approx(
-        seen.sds(np.array([1.0, 0.0])), rel=1e-9
+        direct.sds(np.array([1.0, 0.0])), rel=1e-9
     )
-
-
-def test_units_do_not_change_what_is_known():
-    rng = np.random.default_rng(9)
-    x = rng.standard_normal((200, 2))
-    _, residual = fit(x, rng.standard_normal(200))
-    one = Information(x, residual, np.ones(2)).sds(np.array([1.0, 1.0]))
-    other = Information(x, residual, np.array([1e-3, 50.0])).sds(np.array([1.0, 1.0]))
-    assert other == pytest.approx(one, rel=1e-9)
-
-
-def test_told_values_add_their_information():
-    """Inverse variances of independent knowledge of one number add."""
-    rng = np.random.default_rng(10)
-    x = rng.standard_normal((400, 1))
-    _, residual = fit(x, rng.standard_normal(400))
-    alone, _ = Information(x, residual, np.ones(1)).sds(np.ones(1))
-    told = 0.7 * alone
-    both, robust = Information(x, residual, np.ones(1), known=np.array([[1 / told]])).sds(
-        np.ones(1)
-    )
-    assert both == pytest.approx((alone**-2 + told**-2) ** -0.5, rel=1e-9)
-    # a white residual's robust sd is the plain one but for its noise
-    assert robust == pytest.approx(both, rel=5 * np.sqrt(3 / 400))
 
 
 def test_told_values_close_null_directions():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.input_error import TorqueProblem, contradicted, few_threads, input_error
 from bayesfric.estimates.least_squares import least_squares, totals_regressors
 from bayesfric.estimates.point_estimate import Estimation, Knowledge
@@ -14,8 +14,7 @@ from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from tests.axis import AXIS, VALUES
 

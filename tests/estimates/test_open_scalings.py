@@ -6,7 +6,7 @@ import pytest
 from bayesfric.estimates.assemble import open_directions, open_scalings
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs
 
 KNEE = PRESETS["rabbit-knee"]

@@ -10,8 +10,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from tests.estimates.simulated import excite, move, prepare
 

@@ -16,8 +16,7 @@ from bayesfric.estimates.output_error import (
 )
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from tests.estimates.simulated import PERIOD, excite, move, prepare
 
 KNEE = PRESETS["rabbit-knee"]

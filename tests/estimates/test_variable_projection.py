@@ -7,8 +7,7 @@ import pytest
 
 from bayesfric.estimates.torque import VariableProjection, columns, filtered_torque, torque_form
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 
 KNEE = PRESETS["rabbit-knee"]
 

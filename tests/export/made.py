@@ -8,12 +8,11 @@ import pytest
 import bayesfric as bf
 from bayesfric.export.joint_model import Trajectory
 from bayesfric.export.point_estimate import parameter_vectors
-from bayesfric.fit.finished_run import Finished
+from bayesfric.fit.result import Result
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.report.summary.record import Summary
 
 RATE = 1000.0
@@ -107,7 +106,7 @@ def posterior_of(joint, values, size, *, spread=0.02, draws=60, open_scale=False
     summary = Summary.read(
         {"parameters": rows, "identifiability": {"null_directions": null if open_scale else []}}
     )
-    return Finished(model, summary, joint.names, cloud, "simulated")
+    return Result(model, summary, "simulated", cloud)
 
 
 @cache

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 CHAIN = KNEE.chain()

@@ -31,18 +31,18 @@ def identified(load, more, amplitude):
 
 def test_a_ripple_once_a_turn_is_gravity():
     more = {"load.cogging_sin_1": 0.05, "load.cogging_cos_1": 0.02}
-    found = identified({"cogging": (1,)}, more, 1.0)
-    (one,) = found.directions
-    assert one.kind == "null"
-    assert set(one.exponents) == {"load.first_moment", "load.cogging_sin_1"}
+    result = identified({"cogging": (1,)}, more, 1.0)
+    (row,) = result.directions
+    assert row.kind == "null"
+    assert set(row.exponents) == {"load.first_moment", "load.cogging_sin_1"}
     # the cosine gravity does not have
-    assert np.isfinite(found.frame.loc["load.cogging_cos_1", "data_sd"])
+    assert np.isfinite(result.frame.loc["load.cogging_cos_1", "data_sd"])
 
 
-@pytest.mark.parametrize(("amplitude", "told"), [(0.15, False), (1.5, True)])
-def test_a_spring_is_gravity_as_long_as_the_swing_is_small(amplitude, told):
-    found = identified({"spring": True}, {"load.spring": 0.2}, amplitude)
-    sd = found.frame.loc["load.spring", "data_sd"]
+@pytest.mark.parametrize(("amplitude", "identified_by_data"), [(0.15, False), (1.5, True)])
+def test_a_spring_is_gravity_as_long_as_the_swing_is_small(amplitude, identified_by_data):
+    result = identified({"spring": True}, {"load.spring": 0.2}, amplitude)
+    sd = result.frame.loc["load.spring", "data_sd"]
     # of a small swing the sine is the angle but for its sixth of a cube
-    assert (sd < 0.01) == told
-    assert [one.kind for one in found.directions] == ([] if told else ["weak"])
+    assert (sd < 0.01) == identified_by_data
+    assert [row.kind for row in result.directions] == ([] if identified_by_data else ["weak"])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, stats
 
-from bayesfric.inference.likelihood.autoregression import (
+from bayesfric.estimates.autoregression import (
     autocovariance,
     burg,
     ljung_box,
@@ -17,8 +17,7 @@ from bayesfric.inference.likelihood.autoregression import (
     variances,
     whitened,
 )
-from bayesfric.inference.moments.residual_moments import Moments
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive
 
 partials = st.lists(st.floats(-0.95, 0.95), min_size=0, max_size=4).map(np.array)
 
@@ -76,45 +75,6 @@ def test_whitening_gives_back_what_a_series_was_made_of(partial, seed):
     np.testing.assert_allclose(whitened(series, partial, follows), innovations, atol=1e-7)
 
 
-def moments_of(residual, follows, p):
-    """Lagged products by loops."""
-    parts = np.split(residual, np.flatnonzero(~follows) + 1)
-    lagged = np.zeros((p + 1, p + 1))
-    heads = [np.zeros((k, k)) for k in range(1, p + 1)]
-    counts, head_counts = 0, np.zeros(p, dtype=int)
-    for x in parts:
-        for m in range(p, x.size):
-            past = x[m - p : m + 1][::-1]
-            lagged += np.outer(past, past)
-            counts += 1
-        k = min(p, x.size)
-        if k:
-            heads[k - 1] += np.outer(x[:k], x[:k])
-            head_counts[k - 1] += 1
-    made = Moments(lagged[None, None], tuple(h[None, None] for h in heads))
-    return made, np.array([counts]), head_counts[None]
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    partials,
-    st.lists(st.integers(1, 7), min_size=1, max_size=4).filter(lambda x: sum(x) > 1),
-    st.floats(0.1, 3.0),
-    st.integers(0, 2**32 - 1),
-)
-def test_density_from_moments_is_the_multivariate_normal_s(partial, lengths, sigma, seed):
-    follows = runs_of(lengths)
-    residual = np.random.default_rng(seed).standard_normal(sum(lengths))
-    noise = Autoregressive(partial.size)
-    scales = np.concatenate([[sigma], partial])
-    exact = stats.multivariate_normal(cov=sigma**2 * blocks(partial, lengths)).logpdf(residual)
-    found = noise.log_density(*moments_of(residual, follows, partial.size), scales[None, None])
-    tolerance = 1e-7 * (1.0 + abs(exact))
-    assert found[0] == pytest.approx(exact, abs=tolerance)
-    z, sds = noise.standard(residual, follows, scales)
-    assert noise.log_terms(z, sds).sum() == pytest.approx(exact, abs=tolerance)
-
-
 @given(partials, st.floats(0.1, 3.0))
 def test_spread_of_one_residual(partial, sigma):
     noise = Autoregressive(partial.size)
@@ -145,23 +105,3 @@ def test_ljung_box_is_uniform_for_white_noise_and_finds_what_is_not():
     assert stats.kstest(white, "uniform").pvalue > 1e-3
     series = simulated(np.array([0.5]), follows, 1, rng)
     assert ljung_box(list(series), [follows], 10) < 1e-6
-
-
-@pytest.mark.parametrize("noise", [Autoregressive(0), Autoregressive(2)])
-def test_information_is_the_curvature_of_the_density(noise):
-    """The mean curvature of many draws is the information, to first order in 1/outputs."""
-    scales = np.array([0.8, 0.5, -0.3])[: len(noise.quantities)]
-    n = 4000
-    follows = np.ones(n - 1, dtype=bool)
-    draws = noise.draw(follows, np.tile(scales, (60, 1)), np.random.default_rng(5))
-
-    def density(at):
-        return noise.log_terms(*noise.standard(draws, follows, at)).sum(axis=1).mean()
-
-    for j in range(scales.size):
-        step = np.zeros(scales.size)
-        step[j] = 1e-3 * scales[j]
-        curve = -(density(scales + step) - 2.0 * density(scales) + density(scales - step))
-        curve /= step[j] ** 2
-        expected = noise.information(scales, n)[j, j]
-        assert curve == pytest.approx(expected, rel=0.06), noise.quantities[j]

@@ -7,14 +7,11 @@ import pytest
 
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.moments.fast_moments import fast_moments
-from bayesfric.inference.moments.linear_torque import linear_torque
-from bayesfric.inference.moments.moment_matrices import SignRegion
+from bayesfric.inference.moments.fast_moments import SignRegion, fast_moments
+from bayesfric.inference.moments.linear_torque import ACCURACY, linear_torque
 from bayesfric.inference.moments.residual_moments import PlainMoments
-from bayesfric.inference.moments.shape_nodes import ACCURACY
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.measurement import Signal
 
 from .test_residual_moments import with_gaps
@@ -163,69 +160,66 @@ def knee_observations(make, factor):
 
 @pytest.fixture(scope="module")
 def cases(make_observation):
-    found = {}
-    for factor in (1, 4):
-        for order in (0, 1, 2):
-            found[f"knee-{factor}-{order}"] = Case(
-                KNEE.chain(), KNEE.values, knee_observations(make_observation, factor), order
-            )
+    built = {}
+    for factor, order in KNEES:
+        built[f"knee-{factor}-{order}"] = Case(
+            KNEE.chain(), KNEE.values, knee_observations(make_observation, factor), order
+        )
     loaded = make_observation(KNEE.chain(), KNEE.values, factor=3, added_mass=1.0, radius=0.3)
-    found["knee-one-known-mass"] = Case(KNEE.chain(), KNEE.values, [loaded], 1)
-    single = make_observation(SINGLE, SINGLE_VALUES, n=1200, factor=2)
-    found["single-mu"] = Case(SINGLE, SINGLE_VALUES, [single], 2)
+    built["knee-one-known-mass"] = Case(KNEE.chain(), KNEE.values, [loaded], 1)
     known = make_observation(SINGLE, SINGLE_VALUES, n=900, added_mass=1.0, radius=0.3)
-    found["single-mu-known-mass"] = Case(SINGLE, SINGLE_VALUES, [known], 0)
+    built["single-mu-known-mass"] = Case(SINGLE, SINGLE_VALUES, [known], 0)
     axis = AXIS.chain()
     o = make_observation(axis, AXIS.values, n=800, factor=2, added_mass=3.0)
-    found["no-load-loss"] = Case(axis, AXIS.values, [o], 1)
+    built["no-load-loss"] = Case(axis, AXIS.values, [o], 1)
     values = {**KNEE.values, "load.gravity_angle": 0.2}
-    found["angle"] = Case(ANGLED, values, [make_observation(ANGLED, values, n=900, factor=3)], 1)
     # a mass that is known, at an angle that is not: with a moment of the joint's own, and without
     two = [
         make_observation(ANGLED, values, n=500, seed=seed, added_mass=mass, radius=0.3)
         for seed, mass in enumerate((0.0, 2.0))
     ]
-    found["angle-known-mass"] = Case(ANGLED, values, two, 1)
+    built["angle-known-mass"] = Case(ANGLED, values, two, 1)
     hung = replace(SINGLE, load=Load(gravity_angle=True), gain=True)
     values = {name: SINGLE_VALUES.get(name, 0.3) for name in hung.names}
     o = make_observation(hung, values, n=700, factor=2, added_mass=1.0, radius=0.3)
-    found["angle-known-mass-only"] = Case(hung, values, [o], 2)
+    built["angle-known-mass-only"] = Case(hung, values, [o], 2)
     # stands still for a while: at rest there is no loss
     o = make_observation(KNEE.chain(), KNEE.values, n=900, factor=3)
     speed = o.qd.copy()
     speed[200:260] = 0.0
-    found["rest"] = Case(KNEE.chain(), KNEE.values, [replace(o, qd=speed)], 2)
+    built["rest"] = Case(KNEE.chain(), KNEE.values, [replace(o, qd=speed)], 2)
     # no noise: the sum of squares itself is rounding at the truth
     o = make_observation(KNEE.chain(), KNEE.values, n=900, sigma=0.0)
-    found["exact"] = Case(KNEE.chain(), KNEE.values, [o], 2)
+    built["exact"] = Case(KNEE.chain(), KNEE.values, [o], 2)
     # an unknown gain, with and without a load loss and a mass that is known
     for name, chain, values, mass in (
         ("gain", replace(KNEE.chain(), gain=True), KNEE.values, 0.0),
         ("gain-single-mu-known-mass", replace(SINGLE, gain=True), SINGLE_VALUES, 1.0),
-        ("gain-no-load-loss", replace(axis, gain=True), AXIS.values, 3.0),
     ):
         values = {**values, "drive.gain": 0.8}
         o = make_observation(chain, values, n=900, factor=3, added_mass=mass, radius=0.3)
-        found[name] = Case(chain, values, [o], 1)
+        built[name] = Case(chain, values, [o], 1)
     # of a delay's torque, which is that of the recording, it is no factor
+    with_gain, values = replace(axis, gain=True), {**AXIS.values, "drive.gain": 0.8}
+    o = make_observation(with_gain, values, n=900, factor=3, added_mass=3.0, radius=0.3)
     inputs = replace(o.inputs, torque_rate=Signal(o.stamps, np.gradient(o.torque, o.stamps)))
-    late, values = replace(axis, gain=True, delay=True), {**values, "drive.delay": 0.002}
-    found["gain-delay"] = Case(late, values, [replace(o, inputs=inputs)], 1)
+    late, values = replace(with_gain, delay=True), {**values, "drive.delay": 0.002}
+    built["gain-delay"] = Case(late, values, [replace(o, inputs=inputs)], 1)
     for name, (chain, values) in SHAPED.items():
         o = make_observation(chain, values, n=9000, factor=2)
         speed = o.qd.copy()
         speed[200:220] = 0.0
-        found[name] = Case(chain, values, [replace(o, qd=speed)], 1)
+        built[name] = Case(chain, values, [replace(o, qd=speed)], 1)
     o = make_observation(KNEE.chain(), KNEE.values, n=3000, factor=3)
-    found["narrow"] = Case(KNEE.chain(), KNEE.values, [o], 1, radius=1.5)
-    return found
+    built["narrow"] = Case(KNEE.chain(), KNEE.values, [o], 1, radius=1.5)
+    return built
 
 
+KNEES = ((1, 0), (4, 1), (1, 2), (4, 2))
 NAMES = [
-    *(f"knee-{factor}-{order}" for factor in (1, 4) for order in (0, 1, 2)),
-    "knee-one-known-mass", "single-mu", "single-mu-known-mass", "no-load-loss", "angle",
-    "angle-known-mass", "angle-known-mass-only", "rest", "exact", "gain",
-    "gain-single-mu-known-mass", "gain-no-load-loss", "gain-delay", *SHAPED, "narrow",
+    *(f"knee-{factor}-{order}" for factor, order in KNEES), "knee-one-known-mass",
+    "single-mu-known-mass", "no-load-loss", "angle-known-mass", "angle-known-mass-only", "rest",
+    "exact", "gain", "gain-single-mu-known-mass", "gain-delay", *SHAPED, "narrow",
 ]  # fmt: skip
 
 
@@ -260,9 +254,9 @@ def with_no_number(case, rng, _):
 
 
 TRIED = [
-    *((away, far) for far in (0.0, 0.5, 1.0, 4.0, 6.0, 30.0, 1e3)),
-    *((of_any_sign_and_size, log) for log in (-3.0, -0.5, 0.3, 1.0, 2.5, 5.0, 8.0)),
-    *((with_no_number, None) for _ in range(5)),
+    *((away, far) for far in (0.0, 1.0, 6.0, 30.0)),
+    *((of_any_sign_and_size, log) for log in (-3.0, 0.3, 1.0, 5.0, 8.0)),
+    *((with_no_number, None) for _ in range(3)),
 ]
 
 
@@ -339,31 +333,13 @@ def test_chains_without_the_form_stay_as_they_are(make_observation):
     assert not likelihood.fast
 
 
-def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, monkeypatch):
-    from bayesfric.inference.moments import moment_matrices
-
-    chain = KNEE.chain()
-    o = make_observation(chain, KNEE.values, n=3000)
-    wide = draws_about(chain, KNEE.values, [o], sigma=0.5)
-    whole = fast_moments(chain, [o], wide)
-    monkeypatch.setattr(moment_matrices, "_KEPT", 30)
-    monkeypatch.setattr(moment_matrices, "_KEPT_SHARE", 0.0)
-    few = fast_moments(chain, [o], wide)
-    assert few.uncertain_samples <= 30 < whole.uncertain_samples
-    assert few.radius < whole.radius
-    expected = PlainMoments(chain, [o]).at(wide).lagged
-    np.testing.assert_allclose(few.at(wide).lagged, expected, rtol=1e-9)
-    np.testing.assert_allclose(whole.at(wide).lagged, expected, rtol=1e-9)
-    assert few.slow_evaluations > 0
-
-
 @pytest.mark.parametrize("factor", [1, 4])
 @pytest.mark.parametrize("order", [0, 2])
 def test_borders_of_chunks_show_nowhere(make_observation, monkeypatch, factor, order):
-    from bayesfric.inference.moments import moment_matrices
+    from bayesfric.inference.moments import fast_moments as module
 
     observations = knee_observations(make_observation, factor)
-    monkeypatch.setattr(moment_matrices, "_CHUNK", 50)
+    monkeypatch.setattr(module, "_CHUNK", 50)
     case = Case(KNEE.chain(), KNEE.values, observations, order)
     case.check(case.draws)
     monkeypatch.undo()

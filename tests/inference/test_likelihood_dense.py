@@ -11,13 +11,13 @@ from scipy.signal import lsim
 from bayesfric.estimates.output_error import Shooting
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
+from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.moving import Rest
 from bayesfric.recordings.trajectory import Trajectory
 from tests.axis import AXIS, VALUES
 from tests.conftest import made_observation

@@ -14,8 +14,8 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import TypicalSizes, typical_sizes
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
-from bayesfric.inference.prior.priors import JointPrior, as_knowledge, default_prior, read_prior
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.inference.priors import JointPrior, as_knowledge, default_prior, read_prior
+from bayesfric.mechanism.joint import PRESETS
 
 INF = math.inf
 
@@ -25,6 +25,7 @@ def positive(text):
 
 
 FAMILIES = [
+    ({"distribution": "norm", "loc": 0.2}, stats.norm(0.2)),
     ({"distribution": "norm", "loc": 2.0, "scale": 0.5}, stats.norm(2.0, 0.5)),
     ({"distribution": "halfnorm", "scale": 0.5}, stats.halfnorm(scale=0.5)),
     ({"distribution": "halfnorm", "loc": 1.0, "scale": 0.5}, stats.halfnorm(1.0, 0.5)),
@@ -41,17 +42,21 @@ FAMILIES = [
 
 
 @pytest.mark.parametrize(("text", "reference"), FAMILIES, ids=lambda f: str(f)[:40])
-def test_densities_are_scipys_up_to_the_cut(text, reference):
+def test_densities_and_draws_are_scipys_up_to_the_cut(text, reference):
     prior = positive(text)
     x = np.concatenate([np.linspace(-0.997, 12.003, 131), [1e-9, 1e3]])
     inside = x >= 0.0
     expected = reference.logpdf(x[inside]) - np.log(1.0 - reference.cdf(0.0))
     np.testing.assert_allclose(prior.log_density(x)[inside], expected, rtol=1e-12, atol=1e-12)
     assert np.isneginf(prior.log_density(x)[~inside]).all()
+    below = reference.cdf(0.0)
+    draws = prior.draw(4000, np.random.default_rng(1))
+    # fixed seed; the threshold is a one-in-ten-thousand event
+    assert stats.kstest(draws, lambda y: (reference.cdf(y) - below) / (1.0 - below)).pvalue > 1e-4
 
 
 @given(st.floats(-1.0, 2.0), st.floats(0.4, 3.0))
-def test_a_cut_prior_integrates_to_one_and_its_sd_is_its_own(loc, scale):
+def test_a_truncated_prior_integrates_to_one_and_has_its_moments(loc, scale):
     prior = positive({"distribution": "norm", "loc": loc, "scale": scale})
 
     # Gauss and Legendre: exact to rounding for a density that is smooth up to its cut
@@ -65,14 +70,6 @@ def test_a_cut_prior_integrates_to_one_and_its_sd_is_its_own(loc, scale):
     assert moment(0) == pytest.approx(1.0, abs=1e-7)
     assert prior.mean() == pytest.approx(moment(1), rel=1e-3)
     assert prior.sd() == pytest.approx(math.sqrt(moment(2) - moment(1) ** 2), rel=1e-3)
-
-
-def test_draws_follow_the_cut_density():
-    prior = positive({"distribution": "norm", "loc": 0.2, "scale": 1.0})
-    draws = prior.draw(4000, np.random.default_rng(1))
-    reference = stats.truncnorm(-0.2, np.inf, 0.2, 1.0)
-    # fixed seed; the threshold is a one-in-ten-thousand event
-    assert stats.kstest(draws, reference.cdf).pvalue > 1e-4
 
 
 def angle(text):
@@ -119,7 +116,7 @@ def test_default_priors_hold_the_presets_own_values(preset):
         assert np.isfinite(density).all(), p.name
 
 
-def test_what_a_swing_stores_may_take_more_than_the_motor_gives():
+def test_stored_energy_may_exceed_the_motor_torque():
     """A pendulum at its own frequency: the motor makes up for friction only."""
     joint = bf.Joint(
         [bf.Element("motor", inertia=True, viscous=True)], load=bf.Load(first_moment=True)
@@ -138,7 +135,7 @@ def test_what_a_swing_stores_may_take_more_than_the_motor_gives():
     sds = {p.name: default_prior(joint, p, scales).sd() for p in joint.parameters}
     assert sds["load.first_moment"] > 0.25 * moment
     assert sds["motor.inertia"] > 0.25 * inertia
-    # friction the motor does give
+    # friction is at most the motor torque
     least = default_prior(joint, joint.parameters[1], replace(scales, exchanged=0.0))
     assert sds["motor.viscous"] == least.sd()
 
@@ -161,7 +158,7 @@ def test_default_scales_follow_the_shaft():
     assert (noise.lower, noise.upper) == (1e-6, 1.0)
 
 
-def test_noise_of_a_position_may_be_as_small_as_what_the_encoder_resolves():
+def test_position_noise_may_be_as_small_as_the_encoder_resolves():
     """2^20 counts at a motor behind a ratio of 50: a step is 4e-9 of the joint's range."""
     step = 2.0 * np.pi / 2**20 / 50.0
     sizes = TypicalSizes(
@@ -197,7 +194,7 @@ def test_all_priors_at_once_are_the_product_of_each(chosen, seed, size):
     )
 
 
-def test_a_point_estimate_takes_what_is_fixed_ranged_and_told(make_observation):
+def test_a_point_estimate_takes_fixed_values_ranges_and_known_values(make_observation):
     chain = PRESETS["motor-axis"].chain()
     o = make_observation(chain, PRESETS["motor-axis"].values)
     texts = {
@@ -205,10 +202,10 @@ def test_a_point_estimate_takes_what_is_fixed_ranged_and_told(make_observation):
         "motor.viscous": [0.01, 0.2],
         "motor.coulomb": {"distribution": "norm", "loc": 0.2, "scale": 0.02},
     }
-    found = as_knowledge(chain, read_priors(chain, texts, [o]))
-    assert found.fixed == {"motor.inertia": 0.01}
-    assert found.bounds["motor.viscous"] == (0.01, 0.2)
+    knowledge = as_knowledge(chain, read_priors(chain, texts, [o]))
+    assert knowledge.fixed == {"motor.inertia": 0.01}
+    assert knowledge.bounds["motor.viscous"] == (0.01, 0.2)
     # ten sds above its bound: the cut does not show
-    assert found.priors == {"motor.coulomb": pytest.approx((0.2, 0.02))}
+    assert knowledge.priors == {"motor.coulomb": pytest.approx((0.2, 0.02))}
     # a default prior is a guess of ours, not knowledge
-    assert found.bounds["offset"] == (-math.inf, math.inf)
+    assert knowledge.bounds["offset"] == (-math.inf, math.inf)

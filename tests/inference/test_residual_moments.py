@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.estimates.autoregression import follows
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.moments.residual_moments import PlainMoments, follows
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.inference.moments.residual_moments import PlainMoments
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 
 KNEE = PRESETS["rabbit-knee"]

@@ -1,12 +1,10 @@
-"""The likelihood against its definition, and the target against its parts."""
+"""The log-posterior against its parts, and what is no number."""
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 
 KNEE = PRESETS["rabbit-knee"]
 
@@ -26,21 +24,6 @@ def knee(make_observation):
 def rows(chain, n=8, seed=0):
     rng = np.random.default_rng(seed)
     return chain.vector(KNEE.values) * rng.uniform(0.5, 1.5, (n, len(chain.names)))
-
-
-def test_density_is_the_normals(knee):
-    chain, observations = knee
-    likelihood = TorqueLikelihood(chain, observations)
-    values = rows(chain)
-    sigma = np.random.default_rng(1).uniform(0.005, 0.05, (values.shape[0], 2))
-    expected = sum(
-        stats.norm.logpdf(o.measured, torque, sigma[:, i, None]).sum(axis=1)
-        for i, (o, torque) in enumerate(zip(observations, likelihood.predict(values), strict=True))
-    )
-    scales = sigma[..., None]
-    np.testing.assert_allclose(likelihood.log_density(values, scales), expected, rtol=1e-10)
-    terms = sum(t.sum(axis=1) for t in likelihood.pointwise(values, scales))
-    np.testing.assert_allclose(terms, expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("scale", ["shared", "per-recording"])

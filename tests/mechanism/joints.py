@@ -4,9 +4,8 @@ import numpy as np
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.excitation import current_loop, multisine, square
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.experiment import current_loop, multisine, square
+from bayesfric.mechanism.joint import PRESETS, Joint
 
 KNEE = PRESETS["rabbit-knee"]
 
@@ -68,13 +67,9 @@ def carried_to_motor(elements, torque, sign, speed, acceleration) -> float:
     to_input = 1.0
     for element in elements[::-1]:
         to_input *= element[kernels.RATIO]
-        torque = kernels.element_torque(
-            element,
-            torque / element[kernels.RATIO],
-            sign,
-            to_input * speed,
-            to_input * acceleration,
-        )
+        moving = sign, to_input * speed, to_input * acceleration
+        risen = kernels.rises(element, to_input * speed)
+        torque = kernels.element_torque(element, torque / element[kernels.RATIO], *moving, risen)
     return torque
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import chirp
 
 from bayesfric.base.errors import BadInput
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.experiment import Simulation, measure, record
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
@@ -22,17 +22,35 @@ def recorded(**options):
 @pytest.mark.parametrize(("first", "last", "begin"), [(1.0, 9.0, 0.0), (6.0, 0.5, 2.5)])
 def test_a_chirp_is_scipy_s(first, last, begin):
     time = begin + np.arange(3001) * 1e-3
-    found = excitation.chirp(time, 0.7, first, last)
+    found = experiment.chirp(time, 0.7, first, last)
     expected = 0.7 * chirp(time - begin, first, 3.0, last, phi=-90)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("frequency", [0.1, 0.7, 1.0, 2.5, 12.5])
+def test_square_switches_where_rounding_could_move_a_sample(frequency):
+    samples = np.arange(round(2 / frequency * 1000))
+    exact = (2 * samples * round(frequency * 10) // 10_000) % 2
+    wave = experiment.square(samples * 1e-3, 0.8, frequency)
+    np.testing.assert_array_equal(wave, np.where(exact == 0, 0.8, -0.8))
+
+
+def test_current_loop_is_exact_for_a_held_command():
+    time, period, lag = np.arange(4001) * 1e-3, 1e-3, 5e-3
+    command = np.where(time < 2.0, 0.8, -0.8)
+    actual = experiment.current_loop(command, period, lag)
+    rise = 0.8 * -np.expm1(-time / lag)
+    fall = -0.8 + 1.6 * np.exp(-(time - 2.0) / lag)
+    np.testing.assert_allclose(actual, np.where(time <= 2.0, rise, fall), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(experiment.current_loop(command, period, 0.0), command)
+
+
 def test_sines_have_their_phases():
     time = np.arange(1000) * 1e-3
-    found = excitation.sine(time, 2.0, 3.0, 0.4)
+    found = experiment.sine(time, 2.0, 3.0, 0.4)
     np.testing.assert_allclose(found, 2.0 * np.imag(np.exp(1j * (6.0 * np.pi * time + 0.4))))
     # Schroeder: -pi k (k + 1)/n
-    many = excitation.multisine(time, 1.0, [1.0, 2.0, 3.0])
+    many = experiment.multisine(time, 1.0, [1.0, 2.0, 3.0])
     phases = np.angle(np.fft.rfft(many)[[1, 2, 3]]) + np.pi / 2.0
     expected = -np.pi * np.array([0.0, 2.0, 6.0]) / 3.0
     np.testing.assert_allclose(np.exp(1j * phases), np.exp(1j * expected), atol=1e-9)
@@ -64,8 +82,8 @@ def test_a_command_is_that_of_its_formula(kind):
 def test_a_recording_is_moved_by_what_its_current_loop_makes_of_the_command():
     given = {"lag": 0.02, "added_mass": 0.4, "radius": 0.3, "hold": "zero", "amplitude": 0.3}
     columns, motion, values = recorded(**given)
-    command = excitation.square(columns["time"], 0.3, 1.0)
-    expected = excitation.current_loop(command, 1.0 / 500.0, 0.02)
+    command = experiment.square(columns["time"], 0.3, 1.0)
+    expected = experiment.current_loop(command, 1.0 / 500.0, 0.02)
     np.testing.assert_allclose(columns["torque"], expected, atol=1e-15)
     assert values == LIGHT
     own = simulate(
@@ -120,8 +138,8 @@ def test_true_values_are_the_preset_s_but_for_what_is_said():
     assert tuple(found) == chain.names
     for parameters, match in (
         ({"joint.viscos": 1.0}, "no such parameter"),
-        ({"joint.viscous": -1.0}, "no possible value"),
-        ({"joint.viscous": np.inf}, "no possible value"),
+        ({"joint.viscous": -1.0}, "not a possible value"),
+        ({"joint.viscous": np.inf}, "not a possible value"),
     ):
         with pytest.raises(BadInput, match=match):
             Simulation(parameters=parameters).true_values(chain)

@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import derivative, later
 from bayesfric.recordings.measurement import Inputs, Signal
 from tests import axis

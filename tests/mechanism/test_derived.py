@@ -6,46 +6,7 @@ import pytest
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-
-QUADRATIC = {
-    "motor.viscous": 0.02,
-    "motor.coulomb": 0.1,
-    "motor.quadratic": 3e-4,
-    "belt.quadratic": 2e-3,
-    "belt.load": 0.1,
-    "gearbox.load_drive": 0.3,
-    "gearbox.load_back": 0.4,
-    "joint.viscous": 0.5,
-    "joint.quadratic": 0.7,
-    "load.first_moment": 60.0,
-}
-
-
-@pytest.mark.parametrize("lossy", [True, False])
-def test_the_quadratic_total_is_what_steady_speeds_show(lossy):
-    """Second differences of the torque over steady motor speeds leave the quadratic loss."""
-    chain = Joint(
-        (
-            Element("motor", coulomb="symmetric", viscous=True, quadratic=True),
-            Element("belt", ratio=2.5, quadratic=True, load_loss="one" if lossy else "none"),
-            Element("gearbox", ratio=6.0, load_loss="two" if lossy else "none"),
-            Element("joint", ratio=1.2, viscous=True, quadratic=True),
-        ),
-        Load(first_moment=True),
-    )
-    x = chain.vector({name: QUADRATIC[name] for name in chain.names})
-    found = {d.name: d for d in derive(chain, x[None], 1.0)}
-    step = 0.5  # rad/s at the motor
-    speeds = np.array([1.0, 2.0, 3.0]) * step / chain.ratio
-    # the weight holds back at one side, and drives at the other
-    for side, q in (("drive", 0.5 * np.pi), ("back", -0.5 * np.pi)):
-        torque = inverse_torque(chain, x, np.full(3, q), speeds, np.zeros(3))
-        seen = (torque[0] - 2.0 * torque[1] + torque[2]) / (2.0 * step**2)
-        total = found[f"total_{side}.quadratic" if lossy else "total.quadratic"]
-        assert float(total.values[0]) == pytest.approx(seen, rel=1e-6)
-        assert total.gauge_free
-        assert total.unit == "N m s²"
+from bayesfric.mechanism.joint import PRESETS, Joint
 
 
 def test_what_is_told_by_direction_makes_every_total_of_its_kind_so():
@@ -106,3 +67,23 @@ def test_an_efficiency_counts_what_grows_with_the_torque(loss):
     assert back == pytest.approx(6.0 * lowers / weight, rel=1e-9)
     # one total there is not: what is felt of the inertia depends on the weight
     assert not [name for name in found if name.startswith("total")]
+
+
+def test_inertia_is_unseen_where_the_load_loss_does_not_change_with_it():
+    """By the torque itself: the loss of the servo's gearbox depends on gravity alone."""
+    geared = Element("gearbox", load_loss="one")
+    behind = Joint((Element("motor"), geared), Load(inertia=True, first_moment=True))
+    both = Joint((Element("motor", inertia=True), geared), Load(inertia=True, first_moment=True))
+    bearing = Joint((Element("motor"), geared, Element("bearing", inertia=True)))
+    joints = [*map(Joint.preset, PRESETS), behind, both]
+    for joint in (*joints, bearing):
+        values = dict.fromkeys(joint.names, 0.3)
+        lossless = {n: 0.0 if n.startswith("gearbox.load") else x for n, x in values.items()}
+
+        def loss(acceleration, joint=joint, values=values, lossless=lossless):
+            motion = (0.4, 1.0, acceleration)
+            return joint.torque(values, *motion) - joint.torque(lossless, *motion)
+
+        lossy = any("gearbox.load" in name for name in joint.names)
+        blind = lossy and np.isclose(loss(3.0), loss(0.0)).all()
+        assert bool(joint.unseen_inertia) == blind

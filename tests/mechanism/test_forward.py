@@ -9,12 +9,11 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from bayesfric.mechanism import dynamics, forward, kernels
+from bayesfric.mechanism import forward, integrate, kernels
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
-from bayesfric.mechanism.forward import simulate, simulate_segments
+from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.measurement import Inputs
 from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
 
@@ -34,7 +33,6 @@ def returns_the_torque(chain, vector, torque, period=2e-3, **options):
     assert np.abs(back - torque)[moving].max(initial=0.0) <= 1e-12 * scale
     np.testing.assert_array_equal(motion.qd[motion.sticking], 0.0)
     np.testing.assert_array_equal(motion.qdd[motion.sticking], 0.0)
-    assert motion.unresolved == 0
     return motion
 
 
@@ -85,7 +83,8 @@ def random_joint(rng, mu=1.5):
     elements[:, kernels.STRIBECK_EXPONENT] = rng.choice([2.0, 0.7], n)
     elements[0, kernels.INERTIA] += 1e-3
     load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
-    return dynamics.moved(elements, load, None, 0.0, 0.0), load
+    tables = integrate.ForwardTables(elements[None], load[None], 0.0, 0.0)
+    return integrate.plant_of(tables, None, 0), load
 
 
 def test_closed_form_acceleration_agrees_with_root_finding():
@@ -94,7 +93,7 @@ def test_closed_form_acceleration_agrees_with_root_finding():
     while tried < 3000:
         joint, load = random_joint(rng)
         elements = joint.elements
-        low, _ = forward._slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
+        low, _ = forward.slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
         if low[0] <= 1e-6:
             continue
         tried += 1
@@ -106,14 +105,14 @@ def test_closed_form_acceleration_agrees_with_root_finding():
         def excess(a, elements=elements, gravity=gravity, joint=joint, s=sign, v=qd, t=torque):
             return carried_to_motor(elements, joint.inertia * a + gravity, s, v, a) - t
 
-        at, lines = (joint, q, qd, torque, 0.0, sign), np.zeros((len(elements), 2))
-        found, pattern = dynamics.acceleration(*at, lines)
+        at = joint, q, qd, torque, 0.0, sign
+        found, pattern = integrate.acceleration(*at, integrate.FREE)
         reach = abs(excess(0.0)) / low[0] * 1.01 + 1e-9
         brute = brentq(excess, -reach, reach, xtol=1e-14, rtol=1e-15)
         scale = abs(brute) + (abs(gravity) + abs(torque) + 10.0) / low[0]
         assert abs(found - brute) <= 1e-12 * scale
         # the frozen pattern is that motion's, and gives the same acceleration
-        assert dynamics.held_acceleration(*at, pattern, lines) == found
+        assert integrate.acceleration(*at, pattern) == (found, pattern)
         for k in range(len(elements)):
             out = carried_to_motor(
                 elements[k + 1 :], joint.inertia * found + gravity, sign, qd, found
@@ -131,32 +130,18 @@ def test_slope_bounds_are_those_of_all_patterns():
         for slot in ("stribeck_load_ratio", "load_drive_difference", "load_back_difference"):
             elements[:, kernels.ELEMENT_SLOTS.index(slot)] = 0.0
         joint = joint._replace(elements=elements)
-        lines = np.zeros((len(elements), 2))
         slopes = []
         for bits in itertools.product((0, 1), repeat=len(elements)):
             pattern = sum(bit << k for k, bit in enumerate(bits))
             a, b = (
-                dynamics.held_acceleration(joint, 0.1, 1.0, t, 0.0, 1.0, pattern, lines)
-                for t in (0.0, 1.0)
+                integrate.acceleration(joint, 0.1, 1.0, t, 0.0, 1.0, pattern)[0] for t in (0.0, 1.0)
             )
             slopes.append(1 / (b - a))
-        low, high = forward._slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
+        low, high = forward.slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
         np.testing.assert_allclose([low[0], high[0]], [min(slopes), max(slopes)], rtol=1e-8)
 
 
 # --- closed forms ---------------------------------------------------------------------
-
-
-def test_holds_are_what_they_say():
-    torque = np.array([0.0, 1.0, -2.0, 0.5])
-    zero = simulate(axis(), [1.0], torque, 1.0, hold="zero", substeps=1)
-    np.testing.assert_allclose(zero.qd, [0.0, 0.0, 1.0, -1.0], atol=1e-15)
-    np.testing.assert_allclose(zero.q, [0.0, 0.0, 0.5, 0.5], atol=1e-15)
-    linear = simulate(axis(), [1.0], torque, 1.0, substeps=1)
-    np.testing.assert_allclose(linear.qd, [0.0, 0.5, 0.0, -0.75], atol=1e-15)
-    np.testing.assert_allclose(linear.q[1], 1 / 6, rtol=1e-15)
-    np.testing.assert_array_equal(linear.qdd, torque)
-    np.testing.assert_array_equal(linear.torque, torque)
 
 
 def test_reversals_inside_one_step_are_found():
@@ -285,34 +270,10 @@ def test_a_torque_between_samples_goes_as_it_is_told(hold):
     assert errors[0] / errors[1] > 0.8 * 2**order
 
 
-def test_segments_hold_a_torque_alike():
-    torque = np.sin(np.arange(200) / 9.0)
-    one = simulate(axis(), [1.0], torque, 0.01, hold="cubic", substeps=8)
-    whole = simulate_segments(
-        axis(), [[1.0]], torque, 0.01, [[0, 200]], [0.0], [0.0], hold="cubic", substeps=8
-    )[0]
-    np.testing.assert_array_equal(whole[0], one.q)
-
-
-@pytest.mark.parametrize("hold", ["linear", "zero"])
-def test_free_mass_moves_exactly(hold):
-    # BAM's integrator gives 1.5 a t²: its speed is updated before the position uses it
-    motion = simulate(axis(), [0.5], np.full(1001, 0.25), 1e-3, hold=hold, substeps=3)
-    np.testing.assert_allclose(motion.q, 0.25 * motion.time**2, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(motion.qd, 0.5 * motion.time, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(motion.qdd, 0.5)
-
-
 def test_stribeck_raises_the_breakaway_torque():
     chain = axis(coulomb="symmetric", stribeck=True)
-    values = chain.vector(
-        {
-            "motor.inertia": 0.01,
-            "motor.coulomb": 0.2,
-            "motor.stribeck_ratio": 0.5,
-            "motor.stribeck_velocity": 0.1,
-        }
-    )
+    values = [0.01, 0.2, 0.5, 0.1]
+    assert chain.names[1:3] == ("motor.coulomb", "motor.stribeck_ratio")
     time = np.arange(1001) * 1e-3
     motion = simulate(chain, values, 0.4 * time, 1e-3)
     np.testing.assert_array_equal(motion.sticking, 0.4 * time <= 0.2 * 1.5 + 1e-15)

@@ -9,12 +9,12 @@ from pydantic import ValidationError
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.identifiability.next_recording import _equilibrium
+from bayesfric.inference.coordinates import choose_coordinates
 from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.inference.gearbox_coordinates import choose_coordinates
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 
 from .joints import signal
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.excitation import current_loop, square
+from bayesfric.mechanism.experiment import current_loop, square
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Inputs
@@ -64,91 +64,40 @@ def test_default_substeps_meet_the_tolerance():
     assert capped.substeps == 64
 
 
-def simulate_many(chain, values, torque, period, q0=0.0, qd0=0.0, **options):
-    """Positions for many parameter vectors, in one piece."""
-    states = (np.asarray(x, dtype=np.float64).reshape(-1, 1) for x in (q0, qd0))
-    return simulate_segments(chain, values, torque, period, [(0, len(torque))], *states, **options)[
-        0
-    ]
-
-
-# --- many vectors, and refusals -------------------------------------------------------
+def varied(**changes):
+    return KNEE.chain().vector({**KNEE.values, **changes})
 
 
 def test_many_marks_what_cannot_move():
-    chain = KNEE.chain()
-    good = chain.vector(KNEE.values)
-    irreversible = chain.vector({**KNEE.values, "gearbox.load_back": 8.0})
-    negative = chain.vector({**KNEE.values, "motor.viscous": -1.0})
-    q = simulate_many(chain, [good, irreversible, negative], signal(1e-2), 1e-2)
+    rows = [varied(), varied(**{"gearbox.load_back": 8.0}), varied(**{"motor.viscous": -1.0})]
+    start = np.zeros((3, 1))
+    q, _ = simulate_segments(KNEE.chain(), rows, signal(1e-2), 1e-2, [(0, 121)], start, start)
     np.testing.assert_array_equal(np.isnan(q).all(axis=1), [False, True, True])
     assert np.all(np.isfinite(q[0]))
-    away = simulate_many(axis(), [[1e-3]], np.full(1001, 10.0), 1.0)
+    torque = np.full(1001, 10.0)
+    away, _ = simulate_segments(axis(), [[1e-3]], torque, 1.0, [(0, 1001)], [0.0], [0.0])
     assert np.isfinite(away[0, 0])
     assert np.all(np.isnan(away[0, 20:]))
 
 
-def test_refusals():
-    chain = KNEE.chain()
-    vector = chain.vector(KNEE.values)
-    torque = np.zeros(10)
-
-    def vary(**values):
-        names = {key.replace("__", "."): value for key, value in values.items()}
-        return chain.vector({**KNEE.values, **names})
-
-    for bad, match in (
-        (vary(motor__inertia=np.nan), "motor.inertia"),
-        (vary(joint__viscous=-1.0), "joint.viscous"),
-        (vary(gearbox__load_back=8.0), "irreversible gearbox"),
-        (vary(motor__inertia=0.0, load__inertia=0.0), "no inertia"),
-        (vector[:-1], "shape"),
-    ):
-        with pytest.raises(ValueError, match=match):
-            simulate(chain, bad, torque, 1e-3)
-    for kwargs, match in (
-        ({"torque": [0.0, np.inf]}, "torque must be finite"),
-        ({"torque": np.zeros((2, 2))}, "one-dimensional"),
-        ({"period": 0.0}, "period"),
-        ({"hold": "quintic"}, "hold"),
-        ({"substeps": 0}, "substeps"),
-        ({"q0": np.nan}, "q0"),
-    ):
-        with pytest.raises(ValueError, match=match):
-            simulate(chain, vector, **{"torque": torque, "period": 1e-3, **kwargs})
-    with pytest.raises(ValueError, match="runs away"):
-        simulate(axis(), [1e-3], np.full(1001, 10.0), 1.0)
-    with pytest.raises(ValueError, match="greater than zero"):
-        simulate(Joint(axis().elements, Load(), gain=True), [1.0, 0.0], torque, 1e-3)
+GAIN = Joint(axis().elements, Load(), gain=True)
 
 
 @pytest.mark.parametrize(
-    ("changes", "match"),
+    ("chain", "values", "torque", "match"),
     [
-        ({"values": KNEE.chain().vector(KNEE.values)}, "shape"),
-        ({"values": np.ones((2, 3))}, "shape"),
-        ({"segments": [(-1, 5)]}, "within"),
-        ({"segments": [(0, 11)]}, "within"),
-        ({"segments": [(3, 3)]}, "not empty"),
-        ({"segments": [(0, 5, 9)]}, "not empty"),
-        ({"q0": np.array([np.nan])}, "finite"),
-        ({"qd0": np.array([np.inf])}, "finite"),
-        ({"substeps": 0}, "substeps"),
+        (KNEE.chain(), varied(**{"motor.inertia": np.nan}), 0.0, "motor.inertia"),
+        (KNEE.chain(), varied(**{"joint.viscous": -1.0}), 0.0, "joint.viscous"),
+        (KNEE.chain(), varied(**{"gearbox.load_back": 8.0}), 0.0, "irreversible gearbox"),
+        (KNEE.chain(), varied(**{"motor.inertia": 0, "load.inertia": 0}), 0.0, "no inertia"),
+        (KNEE.chain(), varied(), np.inf, "torque, q0 and qd0 must be finite"),
+        (axis(), [1e-3], 10.0, "runs away"),
+        (GAIN, [1.0, 0.0], 0.0, "greater than zero"),
     ],
 )
-def test_segments_that_cannot_be_simulated_are_refused(changes, match):
-    chain = KNEE.chain()
-    given = {
-        "values": chain.vector(KNEE.values)[None],
-        "torque": np.zeros(10),
-        "period": 1e-3,
-        "segments": [(0, 10)],
-        "q0": np.zeros(1),
-        "qd0": np.zeros(1),
-    }
-    assert np.isfinite(simulate_segments(chain, **given)[0]).all()
+def test_what_has_no_motion_is_refused(chain, values, torque, match):
     with pytest.raises(ValueError, match=match):
-        simulate_segments(chain, **given | changes)
+        simulate(chain, values, np.full(1001, torque), 1.0)
 
 
 def test_single_sample_and_sliding_load():
@@ -182,31 +131,10 @@ def test_each_segment_is_a_simulation_of_its_own():
     for a, b in segments:
         outside[a:b] = False
     assert np.isnan(out[0, outside]).all()
-    assert outside.sum() == 80
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"segments": [(5, 5)]}, "not empty"),
-        ({"segments": [0, 5]}, r"\(K, 2\)"),
-        ({"segments": [(0, 601)]}, "within"),
-        ({"segments": [(-1, 5)]}, "within"),
-        ({"values": VALUES}, "shape"),
-        ({"values": VALUES[None] * np.nan}, "finite"),
-        ({"q0": [np.nan]}, "finite"),
-        ({"qd0": [np.inf]}, "finite"),
-        ({"substeps": 0}, "substeps"),
-    ],
-)
-def test_bad_input_is_refused(changed, message):
-    given = {
-        "values": VALUES[None],
-        "torque": TORQUE,
-        "period": 1e-3,
-        "segments": [(0, 600)],
-        "q0": [0.0],
-        "qd0": [0.0],
-    } | changed
-    with pytest.raises(ValueError, match=message):
-        simulate_segments(CHAIN, **given)
+def test_segments_hold_a_torque_alike():
+    given = VALUES[None], TORQUE, 1e-3, [(0, 600)], [0.0], [0.0]
+    (q,), _ = simulate_segments(CHAIN, *given, hold="cubic", substeps=8)
+    alone = simulate(CHAIN, VALUES, TORQUE, 1e-3, hold="cubic", substeps=8)
+    np.testing.assert_array_equal(q, alone.q)

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
 
@@ -143,7 +142,9 @@ def test_a_known_added_mass_is_that_much_more_load():
     )
     expected = heavier["load.inertia"] * qdd
     expected += 9.80665 * heavier["load.first_moment"] * np.sin(q)
-    np.testing.assert_allclose(load_torque(chain, x, q, qdd, inputs=Inputs(2.0, 0.35)), expected)
+    np.testing.assert_allclose(
+        load_torque(chain, x, q, qdd, Inputs(2.0, 0.35), np.zeros(100)), expected
+    )
 
 
 def test_totals_are_theta1_plus_and_minus_theta2():

@@ -266,25 +266,35 @@ def test_what_nothing_knows_is_refused(role, monkeypatch):
         Joint((Element("motor", inertia=True),), Load(strange=True))
 
 
-def test_two_quantities_of_one_name_are_refused():
+MOTOR = Joint((Element("motor", inertia=True),), Load())
+
+
+def test_a_term_replaces_one_of_its_name():
     term = own("cogging", "motor")
-    chain = Joint((Element("motor", inertia=True),), Load()).with_term(term).with_term(term)
+    chain = MOTOR.with_term(term).with_term(term)
     assert chain.names.count("motor.cogging") == 1
 
 
 @pytest.mark.parametrize(
-    ("given", "error", "words"),
+    ("make", "error", "words"),
     [
-        (("cogging", lambda m: m.speed), ValueError, "element.quantity"),
-        (("motor.viscous", lambda m: m.speed), ValueError, "another name"),
-        (("motor.own", lambda m: m.acceleration), TypeError, "position, speed, direction"),
-        (("motor.own", lambda m: m.transmitted), TypeError, "position, speed, direction"),
-        (("motor.own", lambda m: [m.nothing]), TypeError, "cannot be compiled"),
+        (lambda: Term("cogging", lambda m: m.speed), ValueError, "element.quantity"),
+        (lambda: Term("motor.viscous", lambda m: m.speed), ValueError, "another name"),
+        (lambda: Term("motor.x", lambda m: m.acceleration), TypeError, "speed, direction"),
+        (lambda: Term("motor.x", lambda m: [m.nothing]), TypeError, "cannot be compiled"),
+        (
+            lambda: Joint([Element("motor")], terms=(own("cogging", "moter"),)),
+            ValueError,
+            "'motor'",
+        ),
+        (lambda: Element("motor", viscos=True), ValueError, "did you mean 'viscous'"),
+        (lambda: Element("motor", coulomb="by direction"), ValueError, "by-direction"),
+        (lambda: Load(viscous=True), ValueError, "no option"),
     ],
 )
-def test_a_term_that_cannot_be(given, error, words):
+def test_what_cannot_be_is_refused(make, error, words):
     with pytest.raises(error, match=words):
-        Term(*given)
+        make()
 
 
 def test_a_choice_replaces_what_was_chosen():
@@ -292,21 +302,6 @@ def test_a_choice_replaces_what_was_chosen():
     one = replace(element, load_loss="one", viscous=True)
     assert [q.name for q in one.quantities] == ["inertia", "viscous", "load"]
     assert replace(one, inertia=False, load_loss="none").choices == {"viscous": True}
-
-
-def test_a_term_of_no_element_is_refused():
-    chain = Joint((Element("motor", inertia=True),), Load())
-    with pytest.raises(ValueError, match="did you mean 'motor'"):
-        chain.with_term(own("cogging", "moter"))
-
-
-def test_an_option_that_is_none_is_refused():
-    with pytest.raises(ValueError, match="did you mean 'viscous'"):
-        Element("motor", viscos=True)
-    with pytest.raises(ValueError, match="by-direction"):
-        Element("motor", coulomb="by direction")
-    with pytest.raises(ValueError, match="no option"):
-        Load(viscous=True)
 
 
 @pytest.fixture(params=[("viscous", "motor"), ("power", "motor"), ("spring", "load")])

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 
 KNEE = PRESETS["rabbit-knee"]

@@ -5,11 +5,9 @@ import pytest
 from scipy.integrate import quad
 
 import bayesfric as bf
-from bayesfric.diagnostics.explanation import Explanation
-from bayesfric.diagnostics.finding import Finding
-from bayesfric.inference.discrepancy import Discrepancy
-from bayesfric.inference.missing import Missing
-from bayesfric.inference.prior.priors import JointPrior
+from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.inference.discrepancy import Discrepancy, Missing
+from bayesfric.inference.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
 from bayesfric.problem.problem import Problem
 from tests.axis import AXIS, VALUES, swing
@@ -79,19 +77,18 @@ def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
 def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
     """As of a fit: what is marginalised is a note, and only a doubt makes a number doubtful."""
     kinds = {"stribeck": ((0,),)}
-    nothing = np.zeros((1, 0))
-    none = nothing.T @ nothing
+    no_columns = np.zeros(0)
     missing = Missing(
-        (),
-        nothing,
-        kinds,
-        none,
-        np.zeros(0),
-        np.zeros(0),
-        1.0,
-        np.zeros(0),
-        1,
-        np.zeros(0, dtype=bool),
+        observations=(),
+        columns=np.zeros((1, 0)),
+        kinds=kinds,
+        gram=np.zeros((0, 0)),
+        scores=no_columns,
+        column_errors=no_columns,
+        power=1.0,
+        spread=no_columns,
+        free=1,
+        biases_friction=no_columns.astype(bool),
     )
     lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
     explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
@@ -112,7 +109,7 @@ def test_the_population_mean_is_integrated_exactly():
     """The prior of what varies is the integral over a flat mean of independent normals."""
     target = JointTarget.__new__(JointTarget)
     theta, tau = np.array([0.3, 0.9, 0.4]), 0.35
-    target._counted, target._joint_prior = [], JointPrior([])
+    target._shared, target._joint_prior = 0, JointPrior([])
     target._spreads, target._varying = np.array([3]), np.array([[0, 1, 2]])
     target._sds = np.full((1, 3), 0.2)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from bayesfric.population.population import likelihood, normal, population
+from bayesfric.population.population import likelihood, normal, population, with_outliers
 
 
 def exact(y, s):
@@ -51,34 +51,26 @@ def test_normal_runs_have_the_posterior_of_the_closed_form():
             [(one.low, 0.5 - k / 2) for one, k in zip(ends, levels, strict=True)]
             + [(one.high, 0.5 + k / 2) for one, k in zip(ends, levels, strict=True)]
         )
-        found = np.interp(tau, *zip(*cdf, strict=True))
+        result = np.interp(tau, *zip(*cdf, strict=True))
         # three standard errors of 8000 draws, and the interpolation
-        assert found == pytest.approx(share, abs=3 * 0.5 / np.sqrt(8000) + 0.01)
+        assert result == pytest.approx(share, abs=3 * 0.5 / np.sqrt(8000) + 0.01)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-7, 1e6])
 def test_far_above_their_sds_runs_give_students_t_and_chi_squares(scale):
     """tau^2 >> s^2: the reference prior is 1/tau, whose intervals are exact in any sample."""
     y = scale * np.array([3.0, 5.0, 8.5, 4.0, 11.0, 6.5])
-    found = population([normal(one, 1e-3 * scale) for one in y], 0.9)
+    result = population([normal(one, 1e-3 * scale) for one in y], 0.9)
     half = stats.t.ppf(0.95, 5) * y.std(ddof=1) / np.sqrt(6)
     error = 0.05 * half  # of a quantile of 8000 draws
-    assert found.mean.low == pytest.approx(y.mean() - half, abs=error)
-    assert found.mean.high == pytest.approx(y.mean() + half, abs=error)
+    assert result.mean.low == pytest.approx(y.mean() - half, abs=error)
+    assert result.mean.high == pytest.approx(y.mean() + half, abs=error)
     ends = y.std(ddof=1) * np.sqrt(5.0 / stats.chi2.ppf([0.95, 0.05], 5))
-    assert [found.spread.low, found.spread.high] == pytest.approx(ends, rel=0.05)
+    assert [result.spread.low, result.spread.high] == pytest.approx(ends, rel=0.05)
     reach = stats.t.ppf(0.95, 5) * y.std(ddof=1) * np.sqrt(1.0 + 1.0 / 6.0)
-    assert found.following.high - found.following.low == pytest.approx(2.0 * reach, rel=0.05)
+    assert result.following.high - result.following.low == pytest.approx(2.0 * reach, rel=0.05)
     # what each run says by itself is left as it is
-    assert found.runs[0].median == pytest.approx(y[0], rel=1e-3)
-
-
-def test_runs_that_are_all_one_value_are_drawn_together():
-    found = population([normal(2.0, 1.0) for _ in range(40)], 0.9)
-    assert found.agree
-    assert found.spread.high < 0.6
-    for run in found.runs:
-        assert run.high - run.low < 2 * 1.645
+    assert result.runs[0].median == pytest.approx(y[0], rel=1e-3)
 
 
 def test_a_far_value_without_precision_moves_nothing():
@@ -89,18 +81,18 @@ def test_a_far_value_without_precision_moves_nothing():
 
 def test_cochrans_q_has_its_closed_form():
     y, s = np.array([1.0, 1.5, 3.0]), np.array([0.5, 0.25, 1.0])
-    found = population([normal(m, sd) for m, sd in zip(y, s, strict=True)])
+    result = population([normal(m, sd) for m, sd in zip(y, s, strict=True)])
     w = 1.0 / s**2
     q = (w * (y - np.average(y, weights=w)) ** 2).sum()
-    assert found.q == pytest.approx(q, rel=1e-12)
-    assert found.p_value == pytest.approx(stats.chi2.sf(q, 2), rel=1e-12)
+    assert result.q == pytest.approx(q, rel=1e-12)
+    assert result.p_value == pytest.approx(stats.chi2.sf(q, 2), rel=1e-12)
 
 
 def test_a_likelihood_has_the_moments_of_its_draws():
     draws = np.random.default_rng(1).gamma(4.0, size=20_000)
-    found = likelihood(draws)
-    assert found.mean == pytest.approx(draws.mean(), rel=0.01)
-    assert found.sd == pytest.approx(draws.std(), rel=0.02)
+    result = likelihood(draws)
+    assert result.mean == pytest.approx(draws.mean(), rel=0.01)
+    assert result.sd == pytest.approx(draws.std(), rel=0.02)
     assert likelihood(draws, sd=3.0 * draws.std()).sd == pytest.approx(3.0 * draws.std(), rel=0.02)
 
 
@@ -108,18 +100,99 @@ def test_a_prior_is_divided_out_once():
     """Posterior N(0.8, 0.8) under a N(0, 4) prior: the data said N(1, 1)."""
     rng = np.random.default_rng(2)
     posterior = 0.8 + np.sqrt(0.8) * rng.standard_normal(20_000)
-    found = likelihood(posterior, prior=2.0 * rng.standard_normal(5000))
+    result = likelihood(posterior, prior=2.0 * rng.standard_normal(5000))
     # the likelihood ends where the draws do, some three sds out
-    assert found.mean == pytest.approx(1.0, abs=0.05)
-    assert found.sd == pytest.approx(1.0, abs=0.05)
+    assert result.mean == pytest.approx(1.0, abs=0.05)
+    assert result.sd == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("runs", [[], [normal(1.0, 1.0)]])
-def test_one_run_is_no_population(runs):
+@pytest.mark.parametrize("method", [population, with_outliers])
+def test_a_population_takes_two_runs(method):
     with pytest.raises(ValueError, match="two runs"):
-        population(runs)
+        method([normal(1.0, 1.0)])
 
 
 def test_draws_that_do_not_differ_are_no_likelihood():
     with pytest.raises(ValueError, match="do not differ"):
         likelihood(np.ones(100))
+
+
+def brute_force(y, s):
+    """Probability of each run to be an outlier, and the mean of mu, on a plain dense grid."""
+    typical = np.median(s)
+    mu = np.linspace(y.min() - 6, y.max() + 6, 260)[:, None, None, None]
+    log_tau = np.linspace(np.log(1e-3), np.log(100.0), 110)[None, :, None, None]
+    log_e = np.linspace(np.log(1e-4), np.log(0.4), 30)[None, None, :, None]
+    tau, e = np.exp(log_tau), np.exp(log_e)
+    inside = stats.norm.pdf(y, mu, np.sqrt(s**2 + tau**2))
+    outside = sum(
+        stats.norm.pdf(y, mu, np.sqrt(s**2 + k**2 * (tau**2 + typical**2))) / 3
+        for k in (3.0, 10.0, 30.0)
+    )
+    both = (1 - e) * inside + e * outside
+    prior = tau**2 * np.sqrt((1 / (s**2 + tau**2) ** 2).sum(axis=-1, keepdims=True))
+    weight = both.prod(axis=-1, keepdims=True) * prior * (1 - e) ** 18 * e
+    weight /= weight.sum()
+    return (weight * e * outside / both).sum(axis=(0, 1, 2)), float((weight * mu).sum())
+
+
+def test_outliers_have_the_posterior_of_the_dense_grid():
+    y = np.array([0.0, 0.6, -0.5, 0.3, 7.0, 0.1, -0.2])
+    s = np.array([0.3, 0.4, 0.3, 0.5, 0.6, 0.2, 0.4])
+    chances, mean = brute_force(y, s)
+    result = with_outliers([normal(m, sd) for m, sd in zip(y, s, strict=True)])
+    assert result.outlying == pytest.approx(chances, abs=0.03)
+    assert result.outlying[4] > 0.8
+    # the median of 8000 draws, where the mean of them would lean on the far tail
+    assert result.mean.median == pytest.approx(mean, abs=0.1)
+
+
+def test_units_of_measure_change_no_probability():
+    scale = 1e-6
+    y, s = np.array([0.0, 0.6, -0.5, 0.3, 7.0]), np.array([0.3, 0.4, 0.3, 0.5, 0.6])
+    runs = [[normal(k * m, k * sd) for m, sd in zip(y, s, strict=True)] for k in (1.0, scale)]
+    first, second = map(with_outliers, runs)
+    assert second.outlying == pytest.approx(first.outlying, rel=1e-6)
+    assert second.spread.high == pytest.approx(scale * first.spread.high, rel=1e-6)
+
+
+def units(seed, n, worn):
+    """Draw true values and sds of a population of mean 5 and sd 0.2, the first few worn."""
+    rng = np.random.default_rng(seed)
+    true = 5.0 + 0.2 * rng.standard_normal(n)
+    true[:worn] += 0.2 * rng.uniform(6.0, 12.0, worn)
+    s = rng.uniform(0.05, 0.2, n)
+    return true, s, rng
+
+
+def test_worn_units_are_outliers_and_widen_nothing():
+    true, s, rng = units(0, 300, 5)
+    runs = [
+        likelihood(t + e * (rng.standard_normal() + rng.standard_normal(300)), e)
+        for t, e in zip(true, s, strict=True)
+    ]
+    result = with_outliers(runs)
+    assert set(np.argsort(result.outlying)[-5:]) == set(range(5))
+    assert min(result.outlying[:5]) > 0.5
+    assert result.spread.low < 0.2 < result.spread.high
+    # with them the sd of true values is another one
+    assert result.spread.high < true.std()
+
+
+@pytest.mark.slow
+def test_intervals_hold_what_they_say():
+    held, first = np.zeros(2), []
+    repetitions = 100
+    for seed in range(repetitions):
+        true, s, rng = units(seed, 400, 4)
+        runs = [normal(t + e * rng.standard_normal(), e) for t, e in zip(true, s, strict=True)]
+        result = with_outliers(runs)
+        held += [
+            result.mean.low < 5.0 < result.mean.high,
+            result.spread.low < 0.2 < result.spread.high,
+        ]
+        first.append(set(range(4)) <= set(np.argsort(result.outlying)[-8:]))
+    # 90 %, and what chance does to a hundred of them (p = 0.001)
+    low, high = stats.binom.ppf([0.0005, 0.9995], repetitions, 0.9)
+    assert all(low <= count <= high for count in held), held
+    assert np.mean(first) > 0.95

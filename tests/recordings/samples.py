@@ -5,8 +5,7 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.read import read_recordings
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Channel, Position, Processing, Source, Torque
+from bayesfric.recordings.source import Channel, Position, Processing, Recording, Source, Torque
 
 
 def swing(n=200, period=0.01):

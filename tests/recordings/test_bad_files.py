@@ -3,10 +3,10 @@
 import pytest
 
 from bayesfric.base.errors import BadInput
+from bayesfric.recordings.readers import read_table
 from bayesfric.recordings.source import Position, Processing, Torque
-from bayesfric.recordings.tables import read_table
 
-from .samples import has, lines, numbered, read, refused, source, write
+from .samples import has, lines, numbered, refused, source, write
 
 
 def with_cell(folder, row, column, cell, **kwargs):
@@ -24,13 +24,6 @@ def with_cell(folder, row, column, cell, **kwargs):
 def test_bad_cell_names_file_column_row_and_line(tmp_path, cell, row):
     with_cell(tmp_path, row, 1, cell)
     has(refused(tmp_path), "run.csv", "'q'", f"row {row} ", f"(line {row + 1})")
-
-
-def test_bad_cell_in_a_column_that_is_not_used_does_not_matter(tmp_path):
-    text = lines(header="t,q,tau,note")
-    text[1:] = [line + ",ok" for line in text[1:]]
-    write(tmp_path, "\n".join(text))
-    assert len(read(tmp_path)[0].time) == 200
 
 
 def test_line_numbers_stay_right_over_blank_lines(tmp_path):
@@ -144,9 +137,3 @@ def torque(unit="N m", **keys):
 def test_meaning(tmp_path, used, more, parts):
     write(tmp_path, "\n".join(ROWS))
     has(refused(tmp_path, used, **more), *parts)
-
-
-def test_two_files_with_one_name(tmp_path):
-    for name in ("a.csv", "b.csv"):
-        write(tmp_path, "\n".join(ROWS), name)
-    has(refused(tmp_path, source("*.csv", name="x")), "name", "'x'")

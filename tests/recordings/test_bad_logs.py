@@ -1,7 +1,6 @@
 """Broken bags, HDF5, JSON lines and lists: one line that names the place and the mend."""
 
 import json
-import shutil
 import sqlite3
 import sys
 from contextlib import closing
@@ -10,15 +9,13 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.tables import Table, read_table
-from bayesfric.recordings.tables.reader import TableOptions
-from tests.recordings import logs
+from bayesfric.recordings.readers import TableOptions, read_table
+from tests.recordings import file_formats, logs
 from tests.recordings.samples import has
 
 from .samples import read, refused, source
@@ -57,38 +54,16 @@ def refusal(act):
 # -- ROS
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("bag.mcap", "other.mcap"),
-        ("storage_identifier: mcap", "storage_identifier: cdr9"),
-        ("version: 9", "version: 99"),
-        ("rosbag2_bagfile_information", "something"),
-        ("relative_file_paths:", "relative_file_paths: ["),
-    ],
-)
-def test_metadata_that_does_not_fit(tmp_path, old, new):
-    path = bag(tmp_path) / "metadata.yaml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-    has(refused(tmp_path, used("bag")), "bag")
-
-
-def floats(topic):
-    return topic, [(logs.BEGIN, logs.ROS2.types["std_msgs/msg/Float64"](1.0))]
-
-
-def talk(topic):
-    return topic, [(logs.BEGIN, logs.ROS2.types["std_msgs/msg/String"]("hello"))]
+def topic(name, kind, value):
+    return name, [(logs.BEGIN, logs.ROS2.types[f"std_msgs/msg/{kind}"](value))]
 
 
 @pytest.mark.parametrize(
     ("more", "table", "parts"),
     [
         (("/other", logs.joint_states(*logs.numbers())), None, ["'/joint_states', '/other'"]),
-        (talk("/talk"), "/jo", ["'/jo'", "'/joint_states'"]),
-        (floats("/joint_states"), None, ["bag"]),
+        (topic("/talk", "String", "hello"), "/jo", ["'/jo'", "'/joint_states'"]),
+        (topic("/joint_states", "Float64", 1.0), None, ["bag"]),
     ],
 )
 def test_topics_that_are_not_one(tmp_path, more, table, parts):
@@ -96,273 +71,162 @@ def test_topics_that_are_not_one(tmp_path, more, table, parts):
     has(refused(tmp_path, used("bag", table=table)), *parts)
 
 
-def test_talk_is_no_topic_of_numbers(tmp_path):
-    bag(tmp_path, more=[talk("/talk"), floats("/other")])
-    assert read(tmp_path, used("bag", table="/joint_states"))
-    logs.write_ros2(tmp_path / "talk", talk("/talk")[1], topic="/talk")
-    has(refused(tmp_path, used("talk")), "talk")
+def test_text_is_no_topic_of_numbers(tmp_path):
+    bag(tmp_path, more=[topic("/talk", "String", "hello")])
+    assert read(tmp_path, used("bag"))
 
 
-def test_a_type_that_nobody_knows(tmp_path):
+def test_a_type_without_definition(tmp_path):
     (path,) = bag(tmp_path, logs.StoragePlugin.SQLITE3).glob("*.db3")
-    # the connection's own context commits and does not close
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("UPDATE topics SET type = 'my_msgs/msg/Servo'")
-        database.execute("DELETE FROM message_definitions")
-    (tmp_path / "one.db3").write_bytes(path.read_bytes())
-    has(refused(tmp_path, used("one.db3")), "my_msgs/msg/Servo", "MCAP")
+
+    def typed(kind):
+        # the connection's own context commits and does not close
+        with closing(sqlite3.connect(path)) as database, database:
+            database.execute("UPDATE topics SET type = ?", (kind,))
+            database.execute("DELETE FROM message_definitions")
+        (tmp_path / "one.db3").write_bytes(path.read_bytes())
+        return used("one.db3")
+
+    has(refused(tmp_path, typed("my_msgs/msg/Servo")), "my_msgs/msg/Servo", "MCAP")
     # bags of ROS 2 before Iron hold no definitions, nor are they needed of known types
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("UPDATE topics SET type = 'sensor_msgs/msg/JointState'")
-    (tmp_path / "one.db3").write_bytes(path.read_bytes())
-    assert read(tmp_path, used("one.db3"))
-
-
-def test_columns_of_messages(tmp_path):
-    bag(tmp_path)
-    elbow = {"column": "position[elbow]", "unit": "rad"}
-    has(refused(tmp_path, used("bag", position=elbow)), "'position[elbow]'", "'position[knee]'")
-    whole = {"column": "position", "unit": "rad"}
-    has(refused(tmp_path, used("bag", position=whole)), "'position'", "'position[0]'")
-    text = {"column": "header.frame_id", "unit": "rad"}
-    has(refused(tmp_path, used("bag", position=text)), "'header.frame_id'", "row 1")
-
-
-def without_knee(k, message):
-    if k == 16:
-        message.name = ["hip", "ankle"]
-    return message
-
-
-def two_of_three(k, message):
-    message.effort = message.effort[:1] if k == 16 else message.effort
-    return message
-
-
-def not_a_number(k, message):
-    message.effort[1] = np.nan if k == 16 else message.effort[1]
-    return message
-
-
-def goes_back(k, message):
-    message.header.stamp.sec -= 3 if k == 16 else 0
-    return message
+    assert read(tmp_path, typed("sensor_msgs/msg/JointState"))
 
 
 @pytest.mark.parametrize(
-    ("change", "parts"),
+    ("column", "parts"),
     [
-        (without_knee, ["'position[knee]', row 17"]),
-        (two_of_three, ["'effort[knee]', row 17"]),
-        (not_a_number, ["'effort[knee]', row 17"]),
-        (goes_back, ["'header.stamp'", "row 17"]),
+        ("position[elbow]", ["'position[elbow]'", "'position[knee]'"]),
+        ("position", ["'position'", "'position[0]'"]),
+        ("header.frame_id", ["'header.frame_id'", "row 1"]),
     ],
 )
-def test_messages_that_differ(tmp_path, change, parts):
-    bag(tmp_path, change=change)
-    has(refused(tmp_path, used("bag")), *parts)
+def test_columns_of_messages(tmp_path, column, parts):
+    bag(tmp_path)
+    has(refused(tmp_path, used("bag", position={"column": column, "unit": "rad"})), *parts)
 
 
-def test_joints_of_two_publishers_are_told_apart(tmp_path):
+def without_knee(message):
+    message.name = ["hip", "ankle"]
+
+
+def shorter(message):
+    message.effort = message.effort[:1]
+
+
+def not_finite(message):
+    message.effort[1] = np.nan
+
+
+def goes_back(message):
+    message.header.stamp.sec -= 3
+
+
+@pytest.mark.parametrize(
+    ("change", "column"),
+    [
+        (without_knee, "position[knee]"),
+        (shorter, "effort[knee]"),
+        (not_finite, "effort[knee]"),
+        (goes_back, "header.stamp"),
+    ],
+)
+def test_messages_that_differ(tmp_path, change, column):
+    def changed(k, message):
+        if k == 16:
+            change(message)
+        return message
+
+    bag(tmp_path, change=changed)
+    has(refused(tmp_path, used("bag")), f"'{column}', row 17")
+
+
+def test_joints_of_two_publishers(tmp_path):
     """An arm and a gripper on one topic: every second message is of the other."""
 
     def turns(k, message):
-        if k % 2:
-            message.name = ["finger", "thumb"]
+        message.name = message.name if k % 2 else ["finger", "thumb"]
         return message
 
     bag(tmp_path, change=turns)
-    has(refused(tmp_path, used("bag")), "'position[knee]', row 2")
-    (found,) = read(tmp_path, used("bag", where={"name[0]": "hip"}))
-    np.testing.assert_array_equal(found.position, logs.numbers()[1][::2, 1])
+    has(refused(tmp_path, used("bag")), "'position[knee]', row 1")
+    (recording,) = read(tmp_path, used("bag", where={"name[0]": "hip"}))
+    np.testing.assert_array_equal(recording.position, logs.numbers()[1][1::2, 1])
 
 
-def test_what_reads_bags_is_not_installed(tmp_path, monkeypatch):
+def test_rosbags_is_not_installed(tmp_path, monkeypatch):
     bag(tmp_path)
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     has(refused(tmp_path, used("bag")), "pip install 'bayesfric[ros]'")
 
 
-def test_a_pattern_finds_bags(tmp_path):
-    bag(tmp_path)
-    shutil.copytree(tmp_path / "bag", tmp_path / "two")
-    (tmp_path / "nothing").mkdir()
-    found = read(tmp_path, used("*"))
-    assert [one.name for one in found] == ["bag", "two"]
-    assert found[0].sha256 == found[1].sha256
-
-
-# -- lists of signals
-
-LISTS = ("parquet", "json", "jsonl", "h5", "7.3")
-
-
-def listed(folder, form, n=200, turned=False):
-    """Write three signals in one column, a row a sample or ``turned``; the file's name and keys."""
-    t = np.arange(n) * 0.01
-    state = np.stack([np.sin(t + i) for i in range(3)], axis=1)
-    columns = {"t": t, "q": state.T if turned else state, "tau": np.cos(t)}
-    lists = {name: values.tolist() for name, values in columns.items()}
-    path = folder / f"run.{form}"
-    match form:
-        case "parquet":
-            pq.write_table(pa.table(lists), path)
-        case "json":
-            path.write_text(json.dumps(lists))
-        case "jsonl":
-            rows = zip(*lists.values(), strict=True)
-            path.write_text("\n".join(json.dumps(dict(zip(lists, r, strict=True))) for r in rows))
-        case "h5":
-            with h5py.File(path, "w") as file:
-                file.update(columns)
-        case "7.3":
-            path = logs.write_matlab_73(folder / "run.mat", t, columns["q"], state, state)
-            return path.name, {"table": "log"}, state
-    return path.name, {}, state
-
-
-@pytest.mark.parametrize("form", LISTS)
-def test_one_of_several_signals(tmp_path, form):
-    file, keys, state = listed(tmp_path, form)
-    table = opened(tmp_path / file, **keys)
-    for k in range(3):
-        assert table.column(f"q[{k}]").tolist() == state[:, k].tolist()
-    has(refusal(lambda: table.column("q[3]")), "'q[3]'", "from 0 to 2")
-    has(refusal(lambda: table.column("q")), "'q'", "'q[0]'")
-    has(refusal(lambda: table.column("t[0]")), "'t[0]'")
-    has(refusal(lambda: table.column("p[0]")), "'p[0]'")
-
-
-@pytest.mark.parametrize("form", ["h5", "json", "7.3"])
-def test_a_row_for_each_joint(tmp_path, form):
-    file, keys, state = listed(tmp_path, form, turned=True)
-    assert opened(tmp_path / file, **keys).column("q[2]").tolist() == state[:, 2].tolist()
-
-
-def test_the_longer_axis_is_time_unless_a_row_has_a_list(tmp_path):
-    wide = np.arange(12.0).reshape(3, 4)
-    table = Table("run", ["q"], [wide].__getitem__)
-    assert table.column("q[1]").tolist() == wide[1].tolist()
-    pq.write_table(pa.table({"q": wide.tolist()}), tmp_path / "run.parquet")
-    assert opened(tmp_path / "run.parquet").column("q[1]").tolist() == wide[:, 1].tolist()
-
-
-def test_a_column_of_that_very_name_goes_first():
-    arrays = [np.ones((4, 2)), np.full(4, 7.0)]
-    table = Table("run", ["q", "q[1]"], arrays.__getitem__)
-    assert table.column("q[1]").tolist() == [7.0] * 4
-    assert table.column("q[0]").tolist() == [1.0] * 4
-
-
-@pytest.mark.parametrize("form", ["parquet", "jsonl"])
-def test_lists_that_are_ragged(tmp_path, form):
-    rows = [[0.0, 1.0]] * 5 + [[0.0]] + [[0.0, 1.0]] * 5
-    if form == "parquet":
-        pq.write_table(pa.table({"q": rows}), tmp_path / "run.parquet")
-    else:
-        (tmp_path / "run.jsonl").write_text("\n".join(json.dumps({"q": row}) for row in rows))
-    table = opened(tmp_path / f"run.{form}")
-    has(refusal(lambda: table.column("q[0]")), "'q[0]'", "row 6")
-
-
-# -- rows by a column's value
-
-
-def test_conditions_are_all_to_hold():
-    arrays = [np.arange(6.0), np.array([1, 1, 2, 2, 3, 3.0]), np.array([1, 0, 1, 0, 1, 0.0])]
-    table = Table("run", ["t", "episode", "on"], arrays.__getitem__)
-    assert table.only({"episode": 2, "on": True}).column("t").tolist() == [2.0]
-    assert table.only({"on": 0}).column("t").tolist() == [1.0, 3.0, 5.0]
-    assert table.only({}).column("t").tolist() == arrays[0].tolist()
-    has(refusal(lambda: table.only({"episode": 2, "t": 0})), "'t', where", "2, 3")
-    has(refusal(lambda: table.only({"run": 2})), "'run'")
-
-
-def test_text_and_numbered_columns_in_a_csv(tmp_path):
-    (tmp_path / "run.csv").write_text("task,t,q\nlift,0,1\nswing,1,2\nswing,2,x\nlift,3,4\n")
-    assert opened(tmp_path / "run.csv", where={"task": "lift"}).column("q").tolist() == [1.0, 4.0]
-    assert opened(tmp_path / "run.csv", where={"2": 1}).column("q").tolist() == [2.0]
-    message = refusal(lambda: opened(tmp_path / "run.csv", where={"task": "drop"}))
-    has(message, "'drop'", "'lift', 'swing'")
-    swings = opened(tmp_path / "run.csv", where={"task": "swing"})
-    # a bad cell is named by its row in the file, not among those used
-    has(refusal(lambda: swings.column("q")), "'q'", "row 3 (line 4)")
-
-
-def test_a_column_of_another_length_cannot_be_chosen_from(tmp_path):
-    np.savez(tmp_path / "run.npz", t=np.arange(5.0), q=np.arange(4.0))
-    table = opened(tmp_path / "run.npz", where={"t": 1})
-    has(refusal(lambda: table.column("q")), "'q'", "4", "5")
-
-
-# -- HDF5, MATLAB 7.3, JSON lines, MATLAB's objects
+# -- HDF5, JSON lines, MATLAB's objects
 
 
 def test_hdf5_groups(tmp_path):
     logs.write_hdf5(tmp_path / "run.h5", *logs.numbers())
-    assert set(opened(tmp_path / "run.h5", table="observations").names) == {
-        "qpos", "qvel", "effort"
-    }  # fmt: skip
-    message = refusal(lambda: opened(tmp_path / "run.h5", table="obs"))
-    has(message, "table 'obs'", "'observations'")
-    with h5py.File(tmp_path / "empty.h5", "w") as file:
-        file.create_group("g")
-    has(refusal(lambda: opened(tmp_path / "empty.h5")), "empty.h5")
+    names = opened(tmp_path / "run.h5", table="observations").names
+    assert set(names) == {"qpos", "qvel", "effort"}
+    has(refusal(lambda: opened(tmp_path / "run.h5", table="obs")), "'obs'", "'observations'")
     with h5py.File(tmp_path / "one.h5", "w") as file:
         file["log/run1/t"] = np.arange(4.0)
     assert opened(tmp_path / "one.h5").column("t").tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_matlab_73_text_and_cells(tmp_path):
-    logs.write_matlab_73(tmp_path / "run.mat", *logs.numbers())
-    table = opened(tmp_path / "run.mat", table="log")
-    has(refusal(lambda: table.column("note")), "'note'", "char")
-    assert "a" not in table.names
-
-
-def test_json_lines(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "table", "parts"),
+    [
+        ('{"a": {"t": 1}}', "b", ["line 1", "'b'", "'a'"]),
+        ('{"t": 1}\n\n{"t": 2}\n{"t": ', None, ["line 4"]),
+        ('{"t": 1}\n\n{"q": 2}\n', None, ["'t'", "row 2 (line 3)"]),
+        ('{"t": 1}\n[2]\n', None, ["row 2 (line 2)"]),
+        ('{"t": 1}\n\n{"t": "x"}\n', None, ["'t'", "row 2 (line 3)"]),
+    ],
+)
+def test_json_lines(tmp_path, text, table, parts):
     path = tmp_path / "run.jsonl"
+    path.write_text(text)
+    has(refusal(lambda: opened(path, table=table).column("t")), *parts)
     path.write_text('{"a": {"t": 1}}\n\n{"a": {"t": 2}}\n')
     assert opened(path, table="a").column("t").tolist() == [1.0, 2.0]
-    has(refusal(lambda: opened(path, table="b")), "line 1", "'b'", "'a'")
-    path.write_text('{"t": 1}\n\n{"t": 2}\n{"t": ')
-    has(refusal(lambda: opened(path)), "line 4")
-    path.write_text('{"t": 1}\n\n{"q": 2}\n')
-    has(refusal(lambda: opened(path).column("t")), "'t'", "row 2 (line 3)")
-    path.write_text('{"t": 1}\n[2]\n')
-    has(refusal(lambda: opened(path)), "row 2 (line 2)")
-    path.write_text('{"t": 1}\n\n{"t": "x"}\n')
-    has(refusal(lambda: opened(path).column("t")), "'t'", "row 2 (line 3)")
 
 
-def test_matlab_objects_beside_arrays():
-    """SciPy's own test data hold what MATLAB wrote; functions and an inline object."""
+def test_matlab_objects_are_no_columns():
+    """SciPy's own test data hold what MATLAB wrote: functions and an inline object."""
     folder = Path(str(resources.files("scipy.io.matlab") / "tests" / "data"))
     if not (folder / "some_functions.mat").exists():
         pytest.skip("this SciPy comes without its test data")
-    table = opened(folder / "some_functions.mat")
-    has(" ".join(table.notes), "objects left out", "parabola")
-    has(refusal(lambda: opened(folder / "sqr.mat")), "sqr.mat")
+    has(refusal(lambda: opened(folder / "some_functions.mat").column("parabola")), "'parabola'")
 
 
-def element(kind, content):
-    return np.array([kind, len(content)], "<u4").tobytes() + content + bytes(-len(content) % 8)
+# -- JSON and structs
 
 
-def opaque(name, inside):
-    """An object as MATLAB writes those of its newer classes: no dimensions, a matrix inside."""
-    words = (element(1, word) for word in (name, b"MCOS", b"timeseries"))
-    return element(14, element(6, np.array([17, 0], "<u4").tobytes()) + b"".join(words) + inside)
+def with_row(change):
+    rows = pd.DataFrame(file_formats.columns()).to_dict("records")
+    change(rows[16])
+    return json.dumps(rows)
 
 
-def test_matlab_objects_of_newer_classes(tmp_path):
-    savemat(tmp_path / "run.mat", {"t": np.arange(4.0), "q": np.ones(4)})
-    savemat(tmp_path / "inside.mat", {"x": np.arange(6, dtype=np.uint32)})
-    inside = (tmp_path / "inside.mat").read_bytes()[128:]
-    data = (tmp_path / "run.mat").read_bytes()
-    two = opaque(b"log", inside) + opaque(b"more", inside)
-    (tmp_path / "run.mat").write_bytes(data[:128] + two + data[128:])
-    table = opened(tmp_path / "run.mat")
-    assert table.names == ["t", "q"]
-    assert table.column("t").tolist() == [0.0, 1.0, 2.0, 3.0]
-    has(" ".join(table.notes), "objects left out")
+@pytest.mark.parametrize(
+    ("text", "table", "parts"),
+    [
+        *((text, None, []) for text in (
+            "3", '"x"', "null", "{}", '{"a": 1}', "[1, 2]", "[]")),
+        ('{"log": {"rows": []}}', "log.entries", ["'entries'", "'rows'"]),
+        ('{"log": {"rows": []}}', "log.rows", []),
+        ('{"a": [{"t": 1}], "b": [{"t": 1}]}', None, ["'a'", "'b'"]),
+        (with_row(lambda row: row.pop("q")), None, ["'q'", "row 17"]),
+        *((with_row(lambda row, x=x: row.update(q=x)), None, ["'q'", "row 17"]) for x in (
+            None, [1.0], {"x": 1}, "high")),
+    ],
+)  # fmt: skip
+def test_unfit_json(tmp_path, text, table, parts):
+    (tmp_path / "run.json").write_text(text)
+    used = source("run.json", **({"table": table} if table else {}))
+    has(refused(tmp_path, used), "run.json", *parts)
+
+
+def test_struct_that_is_not_there(tmp_path):
+    savemat(tmp_path / "run.mat", {"log": file_formats.columns(), "x": 1.0})
+    has(refused(tmp_path, source("run.mat", table="logg")), "'logg'", "'log'")
+    has(refused(tmp_path, source("run.mat", table="x")), "'x'")

@@ -7,7 +7,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Signal
 from tests.axis import swing
 from tests.recordings.samples import measured
@@ -29,38 +29,29 @@ def recorded(**more):
 
 
 def test_it_gives_leg_and_gearbox_their_scale():
-    (found,) = bf.Model(CHAIN, recorded()).estimates(["input-error"])
+    model = bf.Model(CHAIN, recorded())
+    assert model.identification().directions == ()
+    (estimate,) = model.estimates(["input-error"])
     for name in ("load.first_moment", "gearbox.load_drive", "gearbox.load_back", "load.inertia"):
-        assert found[name].determined, name
-        assert abs(found[name].value - KNEE.values[name]) < 4.0 * found[name].sd, name
-    assert any("fixed by the known load" in note for note in found.notes)
-
-
-def test_without_it_the_scale_is_open():
-    (found,) = bf.Model(CHAIN, recorded(load_torque=None)).estimates(["input-error"])
-    assert not found["load.first_moment"].determined
-
-
-def test_nothing_is_open_before_sampling():
-    assert bf.Model(CHAIN, recorded()).identification().directions == ()
+        assert estimate[name].determined, name
+        assert abs(estimate[name].value - KNEE.values[name]) < 4.0 * estimate[name].sd, name
+    assert any("fixed by the known load" in note for note in estimate.notes)
+    (estimate,) = bf.Model(CHAIN, recorded(load_torque=None)).estimates(["input-error"])
+    assert not estimate["load.first_moment"].determined
 
 
 def test_it_has_a_unit_and_a_sign():
     time = np.arange(400) * 0.01
     frame = pd.DataFrame({"t": time, "q": np.sin(4 * time), "tau": np.cos(time), "b": np.sin(time)})
 
-    def pushed(unit):
-        return measured(
-            bf.Recording.from_dataframe(
-                frame, time="t", position="q", torque="tau",
-                load_torque={"column": "b", "unit": unit, "sign": -1},
-            )
-        )  # fmt: skip
+    def load_torque(unit):
+        keys = {"time": "t", "position": "q", "torque": "tau"}
+        keys["load_torque"] = {"column": "b", "unit": unit, "sign": -1}
+        return measured(bf.Recording.from_dataframe(frame, **keys)).inputs.load_torque.values
 
-    found = pushed("mN m").inputs.load_torque.values
-    np.testing.assert_allclose(found, -1e-3 * np.sin(time), rtol=1e-12)
+    np.testing.assert_allclose(load_torque("mN m"), -1e-3 * np.sin(time), rtol=1e-12)
     with pytest.raises(BadInput, match="unit of load_torque"):
-        pushed("rad")
+        load_torque("rad")
 
 
 # -- losses that depend on a recorded temperature
@@ -99,15 +90,6 @@ def test_losses_per_kelvin_are_found_again(unit):
     for name, value in VALUES.items():
         assert abs(found[name].value - value) < 4.0 * found[name].sd, name
     assert model.identification().directions == ()
-
-
-def test_explain_tries_them_where_a_temperature_was_recorded():
-    plain = bf.Joint(
-        [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
-        load=bf.Load(first_moment=True),
-    )
-    found = bf.Model(plain, warmed()).explain()
-    assert found.findings[0].hint == 'mechanism.elements.motor.temperature = "both"'
 
 
 def test_a_recording_without_one_is_refused():

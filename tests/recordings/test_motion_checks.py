@@ -1,27 +1,26 @@
 """What reading tells: angles that wrap, other units, counts, limits, controllers' torques."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.checks import clipped, feedback, speed_delay, unwrapped
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.source import Position, Processing, Torque, Velocity
+from bayesfric.recordings.source import Processing, Recording
 from tests.conftest import made_recording
-from tests.recordings.samples import has, read, refused, source, write
+from tests.recordings.samples import has, measured
 
 T = 0.005 * np.arange(4000)
 Q, V = np.sin(3 * T), 3 * np.cos(3 * T)
 TURNING = 1.2 * T + 0.8 * np.sin(2 * np.pi * 0.4 * T)
 
 
-def table(folder, columns):
-    names = ",".join(columns)
-    rows = "\n".join(
-        ",".join(f"{x:.9g}" for x in row) for row in zip(*columns.values(), strict=True)
-    )
-    write(folder, f"{names}\n{rows}\n")
+def recorded(*, t=T, q=Q, tau=V, **channels):
+    keys = {"time": "t", "position": "q", "torque": "tau"} | channels
+    return measured(Recording.from_dataframe(pd.DataFrame({"t": t, "q": q, "tau": tau}), **keys))
 
 
 @pytest.mark.parametrize(
@@ -32,44 +31,27 @@ def table(folder, columns):
         (lambda q: np.floor(q / (2 * np.pi) * 4096) % 4096, "turn/4096"),
     ],
 )
-def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, wrap, unit):
+def test_an_angle_that_wraps_is_unwrapped(wrap, unit):
     """0.1.0 differentiated the jumps: an inertia of -0.0009 without a warning."""
-    table(tmp_path, {"t": T, "q": wrap(TURNING), "tau": np.sin(T)})
-    used = source(position=Position(column="q", unit=unit))
-    (found,) = read(tmp_path, used)
-    apart = found.position - TURNING
+    recording = recorded(q=wrap(TURNING), units={"position": unit})
+    apart = recording.position - TURNING
     # a turn is no motion; 4096 counts are rounded
     np.testing.assert_allclose(apart - apart[0], 0.0, atol=2 * np.pi / 4096 * 1.01)
-    has(" ".join(found.steps), "unwrapped")
+    has(" ".join(recording.steps), "unwrapped")
 
 
-@settings(deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.4))
-def test_unwrapping_undoes_what_wrapping_did(seed, largest):
-    rng = np.random.default_rng(seed)
-    angle = np.cumsum(rng.uniform(-largest, largest, 300))
-    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-    found, jumps = unwrapped(wrapped)
-    np.testing.assert_allclose(found - found[0], angle - angle[0], atol=1e-9)
-    assert (jumps > 0) == bool((np.abs(np.diff(wrapped)) > np.pi).any())
-
-
-def test_what_does_not_wrap_stays_as_it_is():
-    angle = np.concatenate([np.zeros(50), np.full(50, 4.0)])  # moved by hand while not recording
-    same, jumps = unwrapped(np.linspace(0, 40.0, 100))
-    assert jumps == 0
-    np.testing.assert_array_equal(same, np.linspace(0, 40.0, 100))
-    assert unwrapped(angle)[1] == 0
-
-
-def test_one_column_as_two_signals_is_refused(tmp_path):
-    table(tmp_path, {"t": T, "q": TURNING, "tau": np.sin(T)})
-    message = refused(tmp_path, source(torque=Torque(column="q", unit="N m")))
-    has(message, "'q'", "position", "torque")
-    message = refused(tmp_path, source(torque=Torque(column=2, unit="N m")))
-    has(message, "position", "torque")
-    message = refused(tmp_path, source(velocity=Velocity(column="tau", unit="rad/s")))
-    has(message, "velocity", "torque")
+@pytest.mark.parametrize(
+    ("channels", "parts"),
+    [
+        ({"torque": "q"}, ["'q'", "position", "torque"]),
+        ({"torque": 2}, ["position", "torque"]),
+        ({"velocity": "tau"}, ["velocity", "torque"]),
+    ],
+)
+def test_one_column_as_two_signals_is_refused(channels, parts):
+    with pytest.raises(BadInput) as refused:
+        recorded(**channels)
+    has(str(refused.value), *parts)
 
 
 @pytest.mark.parametrize("sd", [0.0, 0.3])
@@ -90,32 +72,27 @@ def test_a_velocity_of_another_size_than_the_differentiated_position(factor, say
     assert bool(says) == ("factor between" in said)
 
 
-def warned(tmp_path, columns, word, **used):
-    table(tmp_path, columns)
-    (found,) = read(tmp_path, source(**used))
-    return [w for w in found.warnings if word in w]
-
-
 @pytest.mark.parametrize(
-    ("columns", "channels", "used"),
+    ("columns", "warned", "right"),
     [
-        ({"q": np.round(4096 * Q)}, ["position"], {"position": ("q", "turn/4096", {})}),
+        ({"q": np.round(4096 * Q)}, ["position"], {"units": {"position": "turn/4096"}}),
         (
-            {"t": 1000 * T, "tau": np.round(1000 * V)},
+            {"t": np.round(1000 * T), "tau": np.round(1000 * V)},
             ["time", "torque"],
-            {"time": ("t", "ms", {}), "torque": ("tau", "N m", {"constant": "0.001"})},
+            {
+                "units": {"time": "ms"},
+                "torque": {"column": "tau", "unit": "N m", "constant": "0.001"},
+            },
         ),
         ({"tau": np.sign(V)}, [], {}),  # switched
     ],
 )
-def test_counts_and_thousandths_that_are_taken_for_whole(tmp_path, columns, channels, used):
-    columns = {"t": T, "q": Q, "tau": V} | columns
-    said = warned(tmp_path, columns, "whole")
-    assert [w.partition(":")[0] for w in said] == channels
-    right = {
-        key: {"column": column, "unit": unit, **more} for key, (column, unit, more) in used.items()
-    }
-    assert not warned(tmp_path, columns, "whole", **right)
+def test_counts_and_thousandths_that_are_taken_for_whole(columns, warned, right):
+    def channels(recording):
+        return [text.partition(":")[0] for text in recording.warnings if "whole" in text]
+
+    assert channels(recorded(**columns)) == warned
+    assert channels(recorded(**columns, **right)) == []
 
 
 def test_limits_to_both_sides_are_one():
@@ -128,34 +105,15 @@ def test_limits_to_both_sides_are_one():
     has(one, f"stays at -1 or {np.sort(signal)[int(0.95 * signal.size)]:.6g} (raw)")
 
 
-def bang_bang(level=0.9, period=0.005):
-    """A pendulum that is pushed along: torque 0.9 N m times the sign of speed."""
-    q, v, rows = 0.3, 0.0, []
-    rng = np.random.default_rng(5)
-    for _ in range(4000):
-        torque = level * (np.sign(v) if v else 1.0)
-        rows.append((q, v, torque + 0.01 * rng.standard_normal()))
-        for _ in range(10):
-            loss = 0.85 * np.sign(v) + 0.1 * v
-            v += period / 10 * (torque - loss - 0.3 * 9.81 * np.sin(q)) / 0.15
-            q += period / 10 * v
-    return np.array(rows).T
-
-
-def test_a_torque_that_follows_the_sign_of_speed_is_said():
-    """0.1.0 learned 0.9 N m of Coulomb friction from it, and called it data."""
-    q, _, torque = bang_bang()
-    seen = observe(made_recording(T, q, torque, 0.005), Processing())
-    assert seen.settings["feedback"] == "sign of speed"
-
-
-def test_a_torque_that_follows_the_position_error_is_said():
-    rng = np.random.default_rng(2)
-    q = np.convolve(rng.normal(size=T.size), np.exp(-np.arange(200) / 40) / 40, mode="same")
-    torque = -30.0 * (q - 0.1) + 0.2 * rng.normal(size=T.size)
-    found = feedback(torque, q, np.gradient(q, 0.005), np.ones(T.size, dtype=bool))
-    assert found is not None
-    assert found[0] == "position error"
+@pytest.mark.parametrize("law", ["sign of speed", "position error"])
+def test_a_torque_that_a_controller_computes_from_the_motion(law):
+    """0.1.0 learned 0.9 N m of Coulomb friction from the first, and called it data."""
+    rng, q = np.random.default_rng(2), Q
+    if law == "position error":
+        q = np.convolve(rng.normal(size=T.size), np.exp(-np.arange(200) / 40) / 40, mode="same")
+    torque = 0.9 * np.sign(V) if law == "sign of speed" else -30.0 * (q - 0.1)
+    torque = torque + 0.02 * rng.normal(size=T.size)
+    assert feedback(torque, q, np.gradient(q, 0.005), np.ones(T.size, dtype=bool))[0] == law
 
 
 def test_joints_that_lose_energy_are_no_controllers():
@@ -186,3 +144,16 @@ def test_a_velocity_that_a_drive_filters_is_told_by_its_delay(late):
     assert speed_delay(0.9 * differentiated, differentiated, usable, 0.004) is None
     noise = rng.standard_normal(3000)
     assert speed_delay(noise, differentiated, usable, 0.004) is None
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.4))
+def test_unwrapping_undoes_what_wrapping_did(seed, largest):
+    rng = np.random.default_rng(seed)
+    angle = np.cumsum(rng.uniform(-largest, largest, 300))
+    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
+    found, jumps = unwrapped(wrapped)
+    np.testing.assert_allclose(found - found[0], angle - angle[0], atol=1e-9)
+    assert (jumps > 0) == bool((np.abs(np.diff(wrapped)) > np.pi).any())
+    # moved by hand while not recording: no turn
+    assert unwrapped(np.repeat([0.0, 4.0], 50))[1] == 0

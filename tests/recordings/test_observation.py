@@ -1,6 +1,5 @@
 """From a recording to what a model is compared with."""
 
-import json
 from itertools import pairwise
 
 import numpy as np
@@ -70,39 +69,6 @@ def test_an_excerpt_of_a_recording_keeps_its_segments(lengths, most):
     np.testing.assert_array_equal(short.position, whole.position[places])
 
 
-def test_defaults_follow_the_sampling_rate_where_position_and_torque_allow():
-    square = np.sign(np.sin(W * 0.002 * np.arange(4000)))
-    seen = observe(recording(torque=square), Processing())
-    used = seen.settings
-    assert used["sampling_rate"] == pytest.approx(500)
-    # three times the band: a low-pass of the position alone must not touch what is compared
-    assert used["lowpass"] == pytest.approx(75)
-    assert used["decimate"] == 10
-    assert used["band"] == pytest.approx(25)
-    assert used["trim_samples"] == 2 * used["reach"] > 10
-    assert used["dead_zone"] == pytest.approx(0.01 * W, rel=1e-3)
-    assert used["n_outputs"] == len(seen.measured) == len(seen.time) == len(seen.speed)
-    assert seen.period == pytest.approx(0.02)
-    assert used["band_by"] == "sampling"
-    np.testing.assert_allclose(seen.speed, W * np.cos(W * seen.time), atol=1e-3)
-    json.dumps(used, allow_nan=False)
-
-
-@pytest.mark.parametrize("options", [{}, {"decimate": 7}, {"band": 8.0}])
-def test_the_filters_cut_off_is_where_it_passes_a_half(options):
-    o = observe(recording(), Processing(**options))
-    taps = o.filter.taps
-    turn = 2.0 * np.pi * o.settings["filter_cutoff"] / o.settings["sampling_rate"]
-    gain = taps @ np.cos(turn * (np.arange(taps.size) - taps.size // 2))
-    assert gain == pytest.approx(0.5, abs=0.01)
-
-
-def test_everything_off_keeps_every_sample():
-    seen = observe(recording(), Processing(lowpass="off", trim=0, dead_zone=0))
-    np.testing.assert_array_equal(seen.measured, seen.torque)
-    np.testing.assert_array_equal(seen.q, recording().position)
-
-
 def test_no_window_touches_an_excluded_sample_or_an_end_of_a_segment():
     excluded, pieces = np.zeros(4000, dtype=bool), ((0, 1500), (1500, 4000))
     excluded[1000:1100] = True
@@ -152,13 +118,6 @@ def test_samples_beside_a_rest_are_not_used_those_beside_a_reversal_are():
     assert seen.filter.used[reversal - 15] == seen.filter.used[reversal + 15] == 1.0
     end = rests[rests > 2200][0]
     assert not seen.filter.used[end - 10 : end].any()
-
-
-def test_measured_velocity_is_used():
-    t = 0.002 * np.arange(4000)
-    seen = observe(recording(velocity=np.full(4000, 2.0) + 0.1 * t), Processing(lowpass=50.0))
-    np.testing.assert_allclose(seen.qd, 2 + 0.1 * t, atol=1e-6)
-    np.testing.assert_allclose(seen.qdd[20:-20], 0.1, atol=1e-4)
 
 
 def test_a_band_unlike_the_decimation_that_was_asked_for_warns():
@@ -229,3 +188,10 @@ def test_a_glitch_in_an_excluded_span_stays_in_it():
     # derivative is about 30 rad/s high
     assert np.abs(with_glitch.speed - without.speed).max() < 2.0 * 7e-4 * 30.0
     assert not ((with_glitch.time > 1.94) & (with_glitch.time < 2.06)).any()
+
+
+def test_measured_velocity_is_used():
+    t = 0.002 * np.arange(4000)
+    seen = observe(recording(velocity=np.full(4000, 2.0) + 0.1 * t), Processing(lowpass=50.0))
+    np.testing.assert_allclose(seen.qd, 2 + 0.1 * t, atol=1e-6)
+    np.testing.assert_allclose(seen.qdd[20:-20], 0.1, atol=1e-4)

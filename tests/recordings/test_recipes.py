@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Source
+from bayesfric.recordings.source import Recording, Source
 from tests.conftest import REPOSITORY
 from tests.recordings.samples import measured
 
@@ -28,7 +27,7 @@ def recipes():
 @pytest.fixture(scope="module")
 def simulated():
     joint = bf.Joint.preset("motor-axis")
-    frame = joint.simulate(duration=4, seed=1)
+    frame = bf.simulate(joint, duration=4, seed=1)
     q = frame["position"].to_numpy()
     t = frame["time"].to_numpy()
     torque = frame["torque"].to_numpy()

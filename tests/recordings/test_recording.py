@@ -6,8 +6,7 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Channel, Processing, Source, Torque
+from bayesfric.recordings.source import Channel, Processing, Recording, Source, Torque
 
 from .samples import has, lines, measured, source, swing, write
 
@@ -69,37 +68,6 @@ def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
     assert arrays.sha256 != measured(Recording.from_arrays(T, Q, TAU + 1e-12)).sha256
 
 
-def test_what_is_changed_later_was_not_recorded():
-    frame = pd.DataFrame({"t": T, "q": Q, "tau": TAU})
-    recording = Recording.from_dataframe(frame, time="t", position="q", torque="tau")
-    frame["q"] += 1.0
-    assert measured(recording).position[0] == Q[0]
-
-
-def test_a_current_of_a_geared_motor():
-    recording = Recording.from_arrays(
-        1e3 * T,
-        10.0 * Q,
-        current=TAU / 0.5,
-        velocity=10.0 * np.gradient(Q, T),
-        valid=T < 1.5,
-        units={"time": "ms"},
-        torque_constant="500 N mm/A",
-        side="motor",
-        name="knee",
-    )
-    found = measured(recording, ratio=10.0)
-    assert found.name == "knee"
-    assert found.position == pytest.approx(Q)
-    assert found.torque == pytest.approx(TAU)
-    assert found.excluded.sum() == np.sum(T >= 1.5)
-    # in the motor's unit, whatever it was given in
-    assert found.torque_constant == pytest.approx(0.5)
-    slides = measured(Recording.from_arrays(None, Q, TAU, rate="100 Hz"), motion="linear")
-    assert slides.period == pytest.approx(0.01)
-    assert slides.torque_constant is None
-
-
 def test_a_table_in_memory_is_kept_as_a_file(tmp_path):
     frame = pd.DataFrame({"t": T, "note": "x", "q": Q, "u": TAU, "bus": 24.0, "on": T > 0.1})
     recording = Recording.from_dataframe(
@@ -148,3 +116,10 @@ def test_si_is_for_numbers_as_they_are(tmp_path):
     has(message, "'SI' is not a known unit")
     found = measured(Recording(source(time=Channel(column="t", unit="SI")), tmp_path))
     assert found.period == pytest.approx(0.01)
+
+
+def test_what_is_changed_later_was_not_recorded():
+    frame = pd.DataFrame({"t": T, "q": Q, "tau": TAU})
+    recording = Recording.from_dataframe(frame, time="t", position="q", torque="tau")
+    frame["q"] += 1.0
+    assert measured(recording).position[0] == Q[0]

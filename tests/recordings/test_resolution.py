@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bayesfric.recordings.filters import WIDEST, finest_step, resolve
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.resolution import WIDEST, finest_step, resolve
 from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 
@@ -28,12 +28,6 @@ def test_noise_of_a_position_is_seen(noise):
     assert found.noise == pytest.approx(noise, rel=0.1)
 
 
-def test_rounding_of_a_position_is_seen():
-    step = 2e-3
-    assert resolve(swing(step=step)).noise >= step / np.sqrt(12.0) * (1 - 1e-9)
-    assert resolve(swing()).noise < 1e-9
-
-
 @pytest.mark.parametrize(("counts", "ratio"), [(4096, 1), (8192, 50), (2**20, 50)])
 def test_a_step_is_found_though_no_two_positions_are_one_apart(counts, ratio):
     """At 30 rad/s of the joint 2^20 counts behind a ratio of 50 pass by the hundred thousand."""
@@ -48,11 +42,6 @@ def test_a_step_is_found_though_no_two_positions_are_one_apart(counts, ratio):
     )
     if counts == 2**20:
         assert np.diff(np.unique(read)).min() > 5 * step
-
-
-def test_a_position_without_steps_has_none_to_speak_of():
-    assert finest_step(swing(noise=1e-4).position) < 1e-10
-    assert finest_step(np.zeros(5)) == 0.0
 
 
 def test_the_ratio_is_that_of_motion_and_noise_in_the_band():

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Torque
+from bayesfric.recordings.source import Recording, Torque
 
 from .samples import measured, source, write
 
@@ -33,13 +32,6 @@ def test_torque_and_motion_pass_the_same_mean_about_the_stamp(tmp_path, sampled)
     blurred = np.sin(W * T) * np.sinc(W * PERIOD / (2 * np.pi))
     np.testing.assert_allclose(found.position[inner], blurred[inner], atol=1e-5)
     assert any("averaged alike" in step for step in found.steps)
-
-
-def test_an_instant_is_left_as_it_is(tmp_path):
-    found = read(tmp_path, None, np.cos(W * T))
-    np.testing.assert_array_equal(found.torque, np.cos(W * T))
-    np.testing.assert_array_equal(found.position, np.sin(W * T))
-    assert found.hold == "linear"
 
 
 def test_that_a_command_is_held_goes_to_what_simulates(tmp_path):

@@ -56,13 +56,6 @@ def test_gaps_and_excluded_samples_are_never_simulated_over():
     assert t.segments.tolist() == [[0, 400], [400, 600], [650, 1000]]
 
 
-def test_pieces_of_a_few_samples_are_left_out():
-    t = cut(made(excluded=((15, 20),)), np.inf)
-    assert t.segments.tolist() == [[20, 1000]]
-    with pytest.raises(BadInput, match="recording 'made-up', segment"):
-        cut(made(), 0.1)
-
-
 def test_states_to_start_from_are_those_of_the_motion():
     t = cut(made(), 2.0)
     time = t.segments[:, 0] * 0.01

@@ -6,7 +6,7 @@ import pytest
 from bayesfric.commands.fit import fit
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import parse_config
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison

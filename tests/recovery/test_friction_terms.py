@@ -14,7 +14,7 @@ import pytest
 from bayesfric.commands.simulate import simulate
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit, make_target
-from bayesfric.inference.prior.priors import fixed
+from bayesfric.inference.priors import fixed
 from bayesfric.inference.sampling.start import climb
 from bayesfric.problem.config import parse_config
 

@@ -11,8 +11,7 @@ from bayesfric.inference.fitting import Fit, make_target, read_priors
 from bayesfric.inference.posterior import Diagnostics, Posterior
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.source import Processing
 from bayesfric.report import run_directory

@@ -6,7 +6,6 @@ import h5py
 import numpy as np
 
 from bayesfric.base import __version__
-from bayesfric.report.summary.conclusions import put_reported
 
 # name: unit, symbol, value, plain sd, sd for correlated residuals
 TOTALS = {
@@ -178,9 +177,3 @@ def every_kind():
     rows["motor_50%.inertia"] = posterior_row("kg", 95123.0, 310.0)
     run["fixed"] = {"offset": {"unit": "N m", "value": -0.0213}}
     return run
-
-
-def concluded(summary):
-    """Conclude anew what is reported of a summary that was changed."""
-    cleared = summary.with_rows({name: {"reported": None} for name in summary.rows})
-    return put_reported(cleared)

@@ -6,19 +6,14 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
-from bayesfric.inference.prior.priors import bound_of
+from bayesfric.inference.priors import bound_of
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
-from bayesfric.report.summary.conclusions import (
-    bound_hint,
-    bound_warning,
-    noise_cut,
-)
 from bayesfric.report.summary.derived_quantities import loss_leaning
-from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.doubts import bound_hint, bound_warning, noise_cut
+from bayesfric.report.summary.record import PosteriorRow, Summary
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import brief
 
@@ -95,7 +90,7 @@ def test_what_the_prior_alone_makes_needs_no_other_bound():
     open_ = posterior_row("N m", 0.5, 0.29, verdict="prior", at_bound="upper", bound=1.0)
     open_ |= {"data_sd": None, "prior_sd": 0.29, "bound_physical": False}
     assert bound_hint("motor.coulomb", PosteriorRow.model_validate(open_)) == ""
-    assert bound_warning("motor.coulomb", PosteriorRow.model_validate(open_)) is None
+    assert bound_warning("motor.coulomb", PosteriorRow.model_validate(open_)) == ""
     pushed = posterior_row("N m", 0.04, 0.01, verdict="prior", **HELD, bound_physical=False)
     assert "widen" in bound_hint("motor.coulomb", PosteriorRow.model_validate(pushed))
 
@@ -108,7 +103,7 @@ def test_a_memory_at_its_bound_is_no_friction_at_zero_and_needs_no_wider_prior(
     told = HELD | {"bound": bound, "bound_physical": physical}
     row = PosteriorRow.model_validate(posterior_row("", 0.94, 0.01, verdict="data", **told))
     assert bound_hint(name, row) == ""
-    assert bound_warning(name, row) is None
+    assert bound_warning(name, row) == ""
     # what the joint has keeps its own words, and so does another number of the noise
     assert bound_hint("noise.sigma", row)
     assert bound_hint("motor.pacf_1", row)
@@ -127,7 +122,7 @@ def test_noise_that_a_prior_keeps_small_makes_every_number_doubtful(changed, dou
     assert cut is doubted
     # told once: as a doubt or as a warning
     warned = bound_warning("noise.sigma", summary.parameters["noise.sigma"])
-    assert (warned is not None) == (changed == {"at_bound": "lower"})
+    assert bool(warned) == (changed == {"at_bound": "lower"})
     # one of the joint is its own affair
     assert not noise_cut("motor.coulomb", summary.parameters["noise.sigma"])
 

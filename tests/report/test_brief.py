@@ -2,11 +2,12 @@
 
 import pytest
 
+from bayesfric.report.summary.record import PosteriorRow
 from bayesfric.report.terminal import FINDINGS, ROWS, brief
 from bayesfric.report.words import line_of, words
-from bayesfric.results.reported import ORDER, Spread, concluded
+from bayesfric.results.reported import ORDER
 
-from .made_summaries import FOUND, every_kind, knee, loaded
+from .made_summaries import FOUND, every_kind, knee, loaded, posterior_row
 
 
 def crowded():
@@ -44,20 +45,25 @@ def test_numbers_come_by_status_and_what_is_too_much_is_counted():
         ("data", {}, "identified", None),
         ("weak", {}, "prior", None),
         ("prior", {}, "unidentified", None),
-        ("prior", {"own_prior": True}, "prior", None),
-        ("data", {"limit": "lower"}, "limit", 3.0),
-        ("data", {"limit": "upper"}, "limit", 1.0),
-        ("data", {"findings": ["delay"]}, "doubtful", None),
-        ("data", {"limit": "lower", "findings": ["delay"]}, "doubtful", 3.0),
+        ("prior", {"prior": "uniform(0, 4)"}, "prior", None),
+        ("data", {"at_bound": "lower"}, "limit", 3.0),
+        ("data", {"at_bound": "upper"}, "limit", 1.0),
+        ("data", {"doubted": ["delay"]}, "doubtful", None),
+        ("data", {"at_bound": "lower", "doubted": ["delay"]}, "doubtful", 3.0),
         # nothing is doubted of what nobody knows, and nothing told of what has not converged
-        ("prior", {"findings": ["delay"]}, "unidentified", None),
-        ("data", {"converged": False, "limit": "lower"}, "unidentified", None),
+        ("prior", {"doubted": ["delay"]}, "unidentified", None),
+        ("data", {"converged": False, "at_bound": "lower"}, "unidentified", None),
     ],
 )
 def test_the_status_of_a_number(verdict, more, status, bound):
-    reported = concluded(Spread(2.0, 1.0, 3.0, 0.6), verdict=verdict, **more)
+    row = posterior_row("N m", 2.0, 0.6, verdict=verdict, **more) | {"interval": [1.0, 3.0]}
+    reported = PosteriorRow.model_validate(row).reported
     assert (reported.status, reported.bound) == (status, bound)
     assert (reported.value, reported.interval, reported.sd) == (2.0, [1.0, 3.0], 0.6)
+    wide = {"model_error_interval": [0.0, 4.0], "model_error_sd": 1.2}
+    reported = PosteriorRow.model_validate(row | wide).reported
+    assert (reported.value, reported.interval, reported.sd) == (2.0, [0.0, 4.0], 1.2)
+    assert reported.status == status
 
 
 def test_every_kind_has_its_line():

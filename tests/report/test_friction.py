@@ -14,8 +14,7 @@ from bayesfric.identifiability.friction_curve import (
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_reach
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.numbers import HTML, TEXT
 from bayesfric.report.summary.parts import QUANTILES, friction_cells, friction_part

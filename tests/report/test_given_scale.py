@@ -4,10 +4,9 @@ import copy
 from types import SimpleNamespace
 
 from bayesfric.export.point_estimate import open_scalings
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import loaded, posterior_row
@@ -40,7 +39,7 @@ def test_what_the_told_weight_settles_says_so():
     assert read.parameters["drive.gain"].verdict == "weak"
     # the weight itself is what was told
     assert read.parameters["load.first_moment"].verdict == "prior"
-    status = {name: put_reported(read).rows[name].reported.status for name in NAMES}
+    status = {name: read.rows[name].reported.status for name in NAMES}
     assert status["motor.inertia"] == "prior"
     assert Summary.read(read.as_dict()) == read
 

@@ -9,11 +9,9 @@ from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
-from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
+from bayesfric.report.summary.doubts import add_model_error
 from tests.inference.test_discrepancy import fitted
-
-from .made_summaries import concluded
 
 NAME = "motor.viscous"
 
@@ -42,7 +40,7 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
     ).parameters[NAME]
     assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
     assert result_rows(wrong.summary)[NAME].status == "determined"
-    told = concluded(wrong.summary.with_rows({NAME: row.as_dict()}))
+    told = wrong.summary.with_rows({NAME: dict(row)})
     assert result_rows(told)[NAME].limit == row.model_error_interval[1]
 
 
@@ -69,7 +67,6 @@ def test_figures_show_what_the_tables_print(wrong):
 
 def test_every_view_goes_by_the_wide_one(wrong):
     row = wrong.summary.parameters[NAME]
-    assert row.reported.how.widened
     assert row.reported.interval == row.model_error_interval
     cell = result_rows(wrong.summary)[NAME]
     assert (cell.interval, cell.sd) == (tuple(row.model_error_interval), row.model_error_sd)

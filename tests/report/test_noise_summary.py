@@ -2,16 +2,15 @@
 
 import pytest
 
-from bayesfric.report.summary import noise
-from bayesfric.report.summary.noise import correlation_of
+from bayesfric.report.summary import summary
+from bayesfric.report.summary.doubts import correlation_of
 from bayesfric.report.summary.record import Summary
 
 
 @pytest.mark.parametrize(("p_value", "white"), [(0.011, False), (0.038, False), (0.06, True)])
 def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_value, white):
-    monkeypatch.setattr(noise, "ljung_box", lambda *_: p_value)
-    record = noise.noise_record(knee, knee.residuals, None)
-    assert record["innovation_whiteness"]["white"] == white
+    monkeypatch.setattr(summary, "ljung_box", lambda *_: p_value)
+    assert summary.summarise(knee).noise.innovation_whiteness.white == white
 
 
 @pytest.mark.parametrize(("lag", "times"), [(0.8, 3.0), (0.02, None)])

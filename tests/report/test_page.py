@@ -115,6 +115,8 @@ def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path
     summary["noise"]["innovation_whiteness"] = {"white": False}
     sound = lines(read_page(run_page(tmp_path, summary, "knee")))
     summary["sampler"] = {"status": "unusable", "problems": ["R-hat 1.3: raise max_steps"]}
+    for row in (*summary["parameters"].values(), *summary["derived"].values()):
+        row["converged"] = False
     page = read_page(run_page(tmp_path, summary, "knee"))
     (first,), (why,) = (list(page.all("section", id=name)) for name in ("findings", "why"))
     assert "no number is a posterior" in first.text

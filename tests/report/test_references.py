@@ -24,12 +24,12 @@ def told(**values):
 
 
 def test_only_what_is_beyond_three_sds_is_told():
-    near = told(**{INERTIA: lambda row: row.middle - 2.9 * row.printed.sd})
+    near = told(**{INERTIA: lambda row: row.middle - 2.9 * row.reported.sd})
     assert not references_off(Summary.read(near))
-    far = told(**{INERTIA: lambda row: row.middle - 3.2 * row.printed.sd})
+    far = told(**{INERTIA: lambda row: row.middle - 3.2 * row.reported.sd})
     assert references_off(Summary.read(far)) == pytest.approx({INERTIA: 3.2})
     # a reference that is not known that well itself contradicts nothing
-    sd = Summary.read(far).rows[INERTIA].printed.sd
+    sd = Summary.read(far).rows[INERTIA].reported.sd
     far["references"][INERTIA]["sd"] = sd
     assert not references_off(Summary.read(far))
     del far["references"][INERTIA]["sd"]

@@ -8,7 +8,7 @@ from scipy import stats
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.figures.posterior import ridge, ridge_figure
 
 KNEE = PRESETS["rabbit-knee"]

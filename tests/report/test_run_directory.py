@@ -7,7 +7,6 @@ import shutil
 from dataclasses import replace
 from importlib.metadata import version
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -20,7 +19,7 @@ from bayesfric.commands.fit import fit
 from bayesfric.commands.runs import report
 from bayesfric.commands.simulate import simulate
 from bayesfric.fit.model import Model
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice
+from bayesfric.inference.noise import NoiseChoice
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
 from bayesfric.report.run_directory import write_run
@@ -122,19 +121,13 @@ def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     assert {path.name for path in again.iterdir()} == {path.name for path in run.iterdir()}
 
 
-def test_the_groups_of_the_design(run, archive):
-    with h5py.File(run / "posterior.nc") as file:
-        assert set(file) == {"posterior", "sample_stats", "prior", "log_prior", *OF_OUTPUTS}
-    assert set(archive["posterior"].data_vars) == SAMPLED
-    assert set(archive["prior"].data_vars) == SAMPLED
+def test_groups_and_dimensions_have_the_names_of_the_design(archive, problem):
+    assert set(archive.children) == {"posterior", "sample_stats", "prior", "log_prior", *OF_OUTPUTS}
+    assert set(archive["posterior"].data_vars) == set(archive["prior"].data_vars) == SAMPLED
     assert {"lp", "ensemble"} <= set(archive["sample_stats"].data_vars)
+    assert all(archive["posterior"][name].dims == ("chain", "draw") for name in SAMPLED)
     for group in OF_OUTPUTS:
         assert set(archive[group].data_vars) == set(NAMES), group
-
-
-def test_dimensions_have_names(archive, problem):
-    for name in SAMPLED:
-        assert archive["posterior"][name].dims == ("chain", "draw")
     for o in problem.observations:
         time = f"time_{o.name}"
         assert archive["observed_data"][o.name].dims == (time,)
@@ -143,12 +136,6 @@ def test_dimensions_have_names(archive, problem):
         np.testing.assert_array_equal(archive["observed_data"][time].values, o.time)
         # the filtered torque
         np.testing.assert_array_equal(archive["observed_data"][o.name].values, o.measured)
-
-
-def test_the_posterior_is_what_the_summary_tells(summary, archive):
-    for name, row in summary["parameters"].items():
-        draws = archive["posterior"][name].values
-        np.testing.assert_allclose(row["interval"], np.quantile(draws, [0.05, 0.95]), rtol=1e-9)
 
 
 def ensembles(archive, names):
@@ -198,10 +185,8 @@ def test_prior_draws_are_of_the_priors(archive, problem):
 def test_walkers_of_an_ensemble_are_named(summary, archive):
     sampler = summary["sampler"]
     number = archive["sample_stats"]["ensemble"].values
-    assert number.shape[0] == sampler["ensembles"] * sampler["walkers"]
     assert (np.ptp(number, axis=1) == 0).all()
     assert np.bincount(number[:, 0]).tolist() == [sampler["walkers"]] * sampler["ensembles"]
-    assert np.isfinite(archive["sample_stats"]["lp"].values).all()
 
 
 def test_root_attributes_tell_where_it_came_from(folder, archive):

@@ -16,7 +16,6 @@ from bayesfric.report.summary.parts import self_check_doubts, self_check_part
 from bayesfric.report.summary.record import ModelError
 from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
-from tests.report.made_summaries import concluded
 from tests.report.page_reader import read_page
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
@@ -44,7 +43,7 @@ def checked(result, missed, unexplained=0.0, n=40, share=1.0):
 
 def told(result, found):
     part = self_check_part(result.fit, result.summary, found, groups(result.fit))
-    return concluded(result.summary.model_copy(update={"self_check": part}))
+    return result.summary.model_copy(update={"self_check": part})
 
 
 def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
@@ -52,7 +51,7 @@ def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
     check = summary.self_check.rows[NAME]
     assert check.bias == pytest.approx(2.0)
     assert check.bias_error == pytest.approx(0.0, abs=1e-6)
-    width = summary.parameters[NAME].printed.sd / summary.parameters[NAME].sd
+    width = summary.parameters[NAME].reported.sd / summary.parameters[NAME].sd
     reach = 1.645 * width
     held = norm.cdf(reach - 2.0) - norm.cdf(-reach - 2.0)
     assert check.coverage == pytest.approx(held, abs=1e-3)
@@ -64,7 +63,7 @@ def test_what_no_shift_mends_is_doubtful_and_said_first(result):
     summary = told(result, checked(result, [3.0, -3.0]))
     (doubt,) = self_check_doubts(summary)
     assert doubt["parameters"] == [NAME]
-    after = concluded(put_doubts(summary, [doubt]))
+    after = put_doubts(summary, [doubt])
     assert after.parameters[NAME].verdict == "weak"
     assert after.sampler.status == "tentative"
     assert after.parameters[NAME].reported.status == "doubtful"
@@ -75,7 +74,7 @@ def test_what_filters_leave_of_the_torque_is_no_noise(result):
     half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
     assert half.unexplained == 0.5
     row = result.summary.parameters[NAME]
-    reach = 1.645 * np.sqrt(2.0) * row.printed.sd / row.sd
+    reach = 1.645 * np.sqrt(2.0) * row.reported.sd / row.sd
     assert half.rows[NAME].coverage == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
 
 
@@ -84,7 +83,7 @@ def test_the_whole_scatters_less_than_its_excerpts(result):
     check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check.rows[NAME]
     assert check.bias_error == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
     row = result.summary.parameters[NAME]
-    reach, off = 1.645 * row.printed.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
+    reach, off = 1.645 * row.reported.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
     held = norm.cdf(reach - off) - norm.cdf(-reach - off)
     assert check.coverage == pytest.approx(held, abs=1e-3)
 
@@ -101,13 +100,12 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
         summary = summary.with_rows({NAME: wider}, model_error=ModelError(shown=True))
     if doubted:
         summary = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
-    summary = concluded(summary)
     row = summary.rows[NAME]
     one = row.reported
     assert one.value == row.middle
     if wide:
         assert one.interval == list(row.model_error_interval)
-        assert (one.sd, one.how.widened) == (row.model_error_sd, True)
+        assert one.sd == row.model_error_sd
     assert one.status == ("doubtful" if doubted else "identified")
     table = parameter_table(summary)
     (line,) = (r for r in table.rows if r.name == NAME)

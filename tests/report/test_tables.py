@@ -25,7 +25,7 @@ from bayesfric.report.paper.tables import (
     parameters_latex,
     references,
 )
-from bayesfric.report.summary.rows import is_skewed
+from bayesfric.report.summary.record import is_skewed
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
 

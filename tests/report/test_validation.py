@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
+from bayesfric.estimates.autoregression import autocovariance, simulated
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.source import Processing
 from bayesfric.report.summary.parts import share_of, validation_record
@@ -30,7 +30,7 @@ def predicted(fit, change=lambda torque: torque, names=("other",), hold_out=None
     divided = divide(made, PROCESSING, Validation(recordings=names, hold_out=hold_out))
     found = predict_held_out(fit.target, fit.posterior, divided.held_out)
     fit = replace(fit, held_out=found)
-    return fit, validation_record(fit)
+    return fit, validation_record(fit).as_dict()
 
 
 def test_the_right_model_covers_what_it_says(knee):
@@ -160,7 +160,7 @@ def test_off_by_more_than_two_standard_errors_is_called_off(knee, n, every, sds,
     of, outside = every
     off = np.arange(p.measured.size) * 7919 % of < outside
     p.held_out.observation.measured[:] = p.mean + sds * NOISE * off
-    pooled = validation_record(replace(knee, held_out=found))["pooled"]
+    pooled = validation_record(replace(knee, held_out=found)).as_dict()["pooled"]
     share = pooled["coverage"]["0.9"]
     assert (pooled["outputs"] < 80) == (n == 100)
     assert share["share"] == pytest.approx(1 - outside / of, abs=0.015)

@@ -10,13 +10,12 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
-from bayesfric.fit.finished_run import finished
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.fit.result import result_of
-from bayesfric.mechanism.closed_loop import follow
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.forward import follow
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Law
 from bayesfric.report.messages import roll_out_messages
-from bayesfric.report.summary.rows import rollout_part
 from bayesfric.rollouts.rollout import (
     PreparedRecording,
     Residuals,
@@ -144,7 +143,7 @@ def test_the_command_prints_what_python_returns(bench, made):
     frame = rolled.frame
     assert frame.loc[("two", "position"), "inside"] == rolled.rolled[0].at_position.inside
     summary = bf.summary(folder / "run")
-    assert summary.rollout.as_dict() == found
+    assert jsonable(summary.rollout) == found
     page = (folder / "run" / "report.html").read_text()
     assert 'id="roll-out"' in page
     for kind in ("pdf", "png", "svg"):
@@ -196,9 +195,9 @@ def test_a_joint_that_lacks_a_torque_is_said_to(made, joint, tmp_path):
     other = bf.Recording.from_dataframe(
         frame, time="t", position="q", target="goal", kp="4 N m/rad", kd="0.05 N m s/rad"
     )
-    doubt = roll_out_messages(rollout_part(rollout(found, other, draws=30)))["roll-out"]
+    doubt = roll_out_messages(rollout(found, other, draws=30).summary)["roll-out"]
     assert doubt["inside"] < 0.5
-    assert "roll-out" not in roll_out_messages(rollout_part(rollout(found, draws=30)))
+    assert "roll-out" not in roll_out_messages(rollout(found, draws=30).summary)
 
 
 def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
@@ -212,11 +211,11 @@ def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
     assert span < np.pi
     assert two.at_position.width == pytest.approx(np.median((two.band[1] - two.band[0])[fine]))
     assert not two.wide
-    told = rollout_part(played)
+    told = played.summary
     assert "wide bands" not in roll_out_messages(told)
     # at what half of all bands are wider than
     small = replace(two, room=two.at_position.width, blind=0.5)
-    told = rollout_part(replace(played, rolled=(small,)))
+    told = replace(played, rolled=(small,)).summary
     assert roll_out_messages(told)["wide bands"] == {"wide": ["two"]}
 
 
@@ -224,7 +223,7 @@ def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
 def test_half_a_turn_is_all_there_is_where_gravity_acts(made, joint, gravity, turns):
     """A motion over four turns: beyond half of one, gravity may be anything."""
     _, found = made
-    run = finished(found)
+    run = result_of(found)
     m, o = run.model.recordings[0], run.model.observations[0]
     far = replace(m, position=np.linspace(0.0, 8.0 * np.pi, m.time.size))
     moved = far.position + np.linspace(-2.0, 2.0, 5)[:, None], np.zeros((5, m.time.size))
@@ -239,7 +238,7 @@ def test_half_a_turn_is_all_there_is_where_gravity_acts(made, joint, gravity, tu
 def test_plays_that_go_another_way_over_the_top_do_not_make_the_bands(made, joint, lost):
     """Of 100 plays some leave for the next turn half way; without gravity that is no other way."""
     _, found = made
-    run = finished(found)
+    run = result_of(found)
     m, o = run.model.recordings[0], run.model.observations[0]
     near = m.position + np.random.default_rng(1).normal(0.0, 0.1, (100, 1))
     near[:lost, m.time.size // 2 :] += 2.0 * np.pi
@@ -265,16 +264,16 @@ def test_recordings_that_tell_nothing_decide_nothing(made):
     (one,) = played.rolled
     wide = replace(one, name="wide", over=0.5, at_position=replace(one.at_position, inside=1.0))
     left = replace(one, name="left", at_position=replace(one.at_position, inside=0.67))
-    doubt = roll_out_messages(rollout_part(replace(played, rolled=(wide, left))))["roll-out"]
+    doubt = roll_out_messages(replace(played, rolled=(wide, left)).summary)["roll-out"]
     assert doubt["inside"] == pytest.approx(0.67)
     assert doubt["narrow"] == ["left"]
-    assert "roll-out" not in roll_out_messages(rollout_part(replace(played, rolled=(wide,))))
+    assert "roll-out" not in roll_out_messages(replace(played, rolled=(wide,)).summary)
 
 
 def test_one_play_over_the_top_does_not_say_how_much_torque_moves_the_joint(made, joint):
     """The whole torque makes 0.2 rad, of which half is measured; and one of 40 plays leaves."""
     _, found = made
-    run = finished(found)
+    run = result_of(found)
     m = run.model.recordings[0]
     rng = np.random.default_rng(2)
     alone = m.position + np.zeros((40, 1)) * m.position
@@ -332,25 +331,26 @@ def test_a_run_read_back_has_the_draws_of_its_intervals(made):
     """What goes on from a run, goes on from draws that have the intervals it tells."""
     folder, found = made
     summary = result_of(found).summary
-    for posterior in (finished(found), finished(folder / "run")):
+    for posterior in (result_of(found), result_of(folder / "run")):
         assert posterior.joint.names == result_of(found).model.chain.names
         for k, name in enumerate(posterior.names):
             row = summary.parameters[name]
             # 4000 draws of maybe 400 independent ones
             ends = np.quantile(posterior.draws[:, k], [0.05, 0.95])
             assert ends == pytest.approx(
-                [row.printed.low, row.printed.high], abs=0.25 * row.printed.sd
+                [row.reported.low, row.reported.high], abs=0.25 * row.reported.sd
             ), name
         whole = posterior.values(posterior.picked(7))
         assert whole.shape == (7, len(posterior.joint.names))
 
 
 def test_what_was_fixed_is_filled_in(made):
-    posterior = finished(made[1])
+    posterior = result_of(made[1])
     names = posterior.joint.names
     known = {name: SimpleNamespace(value=0.5 + k) for k, name in enumerate(names)}
     model = SimpleNamespace(chain=posterior.joint, priors=known)
-    given = replace(posterior, model=model, names=(names[0],), draws=np.full((3, 1), 0.7))
+    summary = SimpleNamespace(parameters=dict.fromkeys(names[:1]))
+    given = replace(posterior, model=model, summary=summary, draws=np.full((3, 1), 0.7))
     values = given.values(given.draws)
     assert (values[:, 0] == 0.7).all()
     for k in range(1, len(names)):

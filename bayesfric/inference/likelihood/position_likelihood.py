@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.output_error import Sensitivities, Shooting, choose_substeps
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
-from bayesfric.inference.noise.position import POSITION_NOISE
+from bayesfric.inference.noise import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -36,18 +36,10 @@ from bayesfric.recordings.trajectory import Trajectory
 _OUTPUTS = 100
 # Relative steps of the derivatives by state and torque.
 _STEP = 1e-4
-# Relative step of the state over one sample, small enough not to shift events between samples.
-_ONE_SAMPLE_STEP = 1e-6
 # A torque sample affects half as many samples on either side, for any interpolation.
 _AFFECTED_SAMPLES = 16
 # Relative singular value below which an initial state has no effect.
 _RANK = 1e-6
-# Least number of outputs of a segment.
-_LEAST_OUTPUTS = 4
-# Error of the simulation over the range of positions: below an encoder's count.
-_DISCRETISATION = 1e-8
-# Iterations of fitting the initial states.
-_ITERATIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +142,7 @@ class _Recording:
         lengths = np.diff(t.segments, axis=1)[:, 0]
         self._factor = max(1, round(float(np.median(lengths)) / _OUTPUTS))
         # two states are fitted in each segment
-        long = lengths >= _LEAST_OUTPUTS * self._factor
+        long = lengths >= 4 * self._factor
         t = replace(t, segments=t.segments[long], q0=t.q0[long], qd0=t.qd0[long])
         self._trajectory, self._shooting = t, Shooting(chain, [t], 1)
         self._states = self._shooting.initial.copy()
@@ -160,9 +152,9 @@ class _Recording:
                 "cannot be simulated with the estimated parameters",
                 "give the mechanism an inertia, or use the input-error likelihood",
             )
-        for _ in range(_ITERATIONS):
+        for _ in range(3):
             self._fit_states(point)
-        small = float(np.ptp(self._shooting.measured)) * _DISCRETISATION
+        small = 1e-8 * float(np.ptp(self._shooting.measured))  # below an encoder's count
         self.substeps, _ = choose_substeps(self._shooting, point, self._states, small)
         self._shooting.substeps = self.substeps
         self._segments = self._linearised(point)
@@ -295,7 +287,8 @@ class _Recording:
         place[t.samples] = np.concatenate([np.arange(b - a) for a, b in t.segments])
         before = np.concatenate([np.arange(a, b - 1) for a, b in t.segments])
         speed = max(float(np.abs(qd).max()), float(np.ptp(q)))
-        small = _ONE_SAMPLE_STEP * np.array([float(np.ptp(q)), speed])
+        # small enough not to shift events between samples
+        small = 1e-6 * np.array([float(np.ptp(q)), speed])
         torque_step = _STEP * max(float(np.abs(t.torque[t.samples]).max()), 1e-12)
         by_state, by_torque = np.zeros((n, 2, 2)), np.zeros((n, _AFFECTED_SAMPLES, 2))
         shifts = np.concatenate([np.diag(small), -np.diag(small)])

@@ -2,29 +2,35 @@
 
 With one load-dependent friction the torque is linear except for the direction of power at the
 gearbox, eq. (13); unknown shapes, as a Stribeck velocity, add a few columns. Near the posterior
-that direction is certain for nearly all samples, which are reduced to matrices once. An evaluation
-is a quadratic form, plus corrections for the few samples whose direction changes. Far from the
-posterior every sample is computed.
+that direction is certain for nearly all samples: with its signs at a centre, the filtered residuals
+are ``E c``, with rows ``[y, psi1, sign(qd) sigma psi2, ...]`` and the coefficients of
+:class:`bayesfric.inference.moments.linear_torque.LinearTorque`. Every moment is then ``c' Q c``.
+Samples whose sign may differ from the centre's within a region are kept, and correct the outputs
+they contribute to. Far from the posterior every sample is computed.
+
+Rounding. ``c' Q c`` would lose twice the digits that measured and modelled torque have in common.
+So a first pass finds coordinates ``z = A c`` in which the columns of E are nearly orthonormal, one
+of them being the residual of a linear fit, and the second pass sums the products of ``E inv(A)``.
+Cancellation then occurs once, in ``A c``, as in a plain residual: the sum of squares S is off by
+about ``K eps (S + s sqrt(S) + eps s^2)``, ``s`` being the root sum of squares of measured torque
+and of each column times its coefficient.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from bayesfric.inference.moments.linear_torque import Coefficients, LinearTorque, linear_torque
-from bayesfric.inference.moments.moment_matrices import (
-    CELL,
-    MomentMatrices,
-    SignRegion,
-    moment_matrices,
-)
+from bayesfric.inference.moments.linear_torque import LinearTorque, linear_torque
 from bayesfric.inference.moments.residual_moments import (
     Moments,
     PlainMoments,
+    Runs,
     Short,
     head_entry,
     n_entries,
@@ -32,18 +38,266 @@ from bayesfric.inference.moments.residual_moments import (
     unpacked,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array, Index
+from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.observation import Observation
 
 # Radius of the region. Evaluations only visit samples up to their own distance, so a larger radius
 # costs memory, up to where rounding matters.
 RADIUS = 20.0
-# Largest coefficient; the plain evaluation handles larger ones.
-_LARGEST = 1e100
-# Operations per sample of a plain evaluation: forms with more columns are not faster.
-_OPERATIONS_PER_SAMPLE = 20
-# Kept samples whose signs are evaluated at once.
-_BATCH = 128
+# Raw samples in memory at once.
+_CHUNK = 16384
+
+
+@dataclass(frozen=True, eq=False)
+class SignRegion:
+    """Ellipsoids ``|inv(root) (l - centre)| <= R`` of load parameters with certain signs.
+
+    The sign of ``psi l``, the direction of power, does not depend on the length of ``l``: the
+    distance is that of the ray through ``l``. A sample has the centre's sign at distances below its
+    ratio ``|psi centre| / |root' psi|``.
+    """
+
+    centre: Array  # (n2,) load parameters in motor units, of any length
+    root: Array  # (n2, n2), root root' is the draws' covariance about it
+
+    @cached_property
+    def _inverse(self) -> Array:
+        return np.asarray(np.linalg.inv(self.root))
+
+    @classmethod
+    def around(cls, legs: Array, size: Array) -> SignRegion | None:
+        """Fit the region to load parameters ``(n, n2)``; ``size`` ``(n2,)`` scales them."""
+        if legs.shape[1] == 0:
+            return cls(np.zeros(0), np.zeros((0, 0)))
+        torques = legs * size
+        length = np.linalg.norm(torques, axis=1)
+        valid = np.isfinite(length) & (length > 0.0)
+        unit = torques[valid] / length[valid, None]
+        mean = unit.mean(axis=0) if unit.size else np.zeros(legs.shape[1])
+        if not np.linalg.norm(mean) > 0.0:
+            return None
+        mean /= np.linalg.norm(mean)
+        alignment = unit @ mean
+        aligned = alignment > 0.2
+        if not aligned.any():
+            return None
+        # scaled to one length along the mean direction, as lengths do not matter
+        scaled = unit[aligned] / alignment[aligned, None]
+        centre = scaled.mean(axis=0)
+        deviations = scaled - centre
+        covariance = deviations.T @ deviations / max(scaled.shape[0] - 1, 1)
+        # least spread of any direction; the centre has length one
+        covariance += (1e-6 * np.trace(covariance) / mean.size + 1e-12) * np.eye(mean.size)
+        return cls(centre / size, np.linalg.cholesky(covariance) / size[:, None])
+
+    def distance(self, legs: Array) -> Array:
+        """Return the distance ``(n,)`` of rays through ``(n, n2)`` from the centre."""
+        if self.centre.size == 0:
+            return np.zeros(legs.shape[0])
+        # products with an inverse are faster than solves
+        ray = self._inverse @ legs.T
+        target = self._inverse @ self.centre
+        with np.errstate(all="ignore"):
+            # avoid overflow
+            ray /= np.abs(ray).max(axis=0)
+            closest = target @ ray / (ray * ray).sum(axis=0)
+            distance = np.sqrt(((closest * ray - target[:, None]) ** 2).sum(axis=0))
+        return np.where(closest > 0.0, distance, np.where(np.isnan(closest), np.nan, np.inf))
+
+    def ratios(self, psi: Array) -> Array:
+        """Return the distance ``(n,)`` up to which samples ``(n2, n)`` have the centre's sign."""
+        level = self.centre @ psi
+        spread = self.root.T @ psi
+        width = np.sqrt(np.einsum("kn,kn->n", spread, spread))
+        ratio = np.full(level.size, np.inf)
+        np.divide(np.abs(level), width, out=ratio, where=width > 0.0)
+        return ratio
+
+
+class MomentMatrices(NamedTuple):
+    """One recording, reduced."""
+
+    # (K, k) A': coefficients (n, K) times this are z; k < K if columns for one shape are nearly
+    # equal
+    to_columns: Array
+    forms: Array  # (entries, k, k) upper triangular Q: each moment is z' Q z
+    # kept samples: (U,) increasing ratios; (n2, U) sigma psi2, whose product with the load
+    # parameters is negative if the sign differs; (U, m) times lambda_2 and that product, the jump
+    # of the residual; kept outputs first:last that each contributes to, and its (U, most) weights;
+    # (U, (p + 1) k) times z and the jump, the first-order change of lagged products
+    ratios: Array
+    signs: Array
+    jumps: Array
+    first: Index
+    last: Index
+    weights: Array
+    slopes: Array
+    # kept outputs: (M, k) rows E inv(A), and their places in runs; inner if the order reaches
+    # neither end of the run
+    rows: Array
+    age: Short
+    remaining: Short
+    head: Short
+    inner: Flags
+
+
+def moment_matrices(
+    linear: LinearTorque, o: Observation, order: int, region: SignRegion, radius: float
+) -> MomentMatrices:
+    """Reduce a recording, in two passes over blocks."""
+    starts, length = o.filter.starts, o.filter.taps.size
+    gram, ratio = np.zeros((linear.size, linear.size)), np.full(o.q.size, np.inf)
+    for _, samples, psi2, _, rows in _chunks(linear, o, region):
+        gram += rows @ rows.T
+        ratio[samples] = region.ratios(psi2)
+    to_columns, stretch = _orthonormal(gram, drop=bool(linear.shapes))
+    size = to_columns.shape[1]
+
+    # at standstill the loss has no direction; unused samples do not count
+    kept = _union(starts, starts + length, o.q.size)
+    kept = kept[(o.qd[kept] != 0.0) & (o.filter.used[kept] != 0.0) & (ratio[kept] <= radius)]
+    runs = Runs.of(o, order)
+    first_output = np.searchsorted(starts, kept - length, side="right")
+    end_output = np.searchsorted(starts, kept, side="right")
+    near = _union(first_output, end_output, starts.size)
+    neighbours = [near]  # of the same run
+    for j in range(1, order + 1):
+        neighbours += [near[runs.age[near] >= j] - j, near[runs.remaining[near] >= j] + j]
+    kept_outputs = np.unique(np.concatenate(neighbours))
+
+    kept_rows = np.zeros((kept_outputs.size, size))
+    signs = np.zeros((len(linear.names2), kept.size))
+    jumps = np.zeros((kept.size, linear.functions_of_speed))
+    sums = np.zeros((n_entries(order), size, size))
+    before = np.zeros((size, order))
+    for outputs, samples, psi2, phi, rows in _chunks(linear, o, region):
+        transformed = np.concatenate([before, stretch.T @ rows], axis=1)
+        before = transformed[:, transformed.shape[1] - order :]
+        _add_products(sums, transformed, runs.age[outputs], runs.head[outputs], order)
+        a, b = np.searchsorted(kept_outputs, (outputs.start, outputs.stop))
+        kept_rows[a:b] = transformed[:, order + kept_outputs[a:b] - outputs.start].T
+        a, b = np.searchsorted(kept, (samples.start, samples.stop))
+        places = kept[a:b] - samples.start
+        at_centre = region.centre @ psi2[:, places]
+        signs[:, a:b] = np.where(at_centre >= 0.0, 1.0, -1.0) * psi2[:, places]
+        jumps[a:b] = 2.0 * np.sign(o.qd[kept[a:b], None]) * phi[:, places].T
+
+    weights = np.zeros((kept.size, int((end_output - first_output).max(initial=1))))
+    for i in range(weights.shape[1]):
+        active = np.flatnonzero(first_output + i < end_output)
+        output = first_output[active] + i
+        weights[active, i] = o.filter.taps[kept[active] - starts[output]] * o.filter.gains[output]
+    first = np.searchsorted(kept_outputs, first_output)
+    forms = 0.5 * (sums + sums.transpose(0, 2, 1))
+    by_ratio = np.argsort(ratio[kept], kind="stable")
+    age, remaining = runs.age[kept_outputs], runs.remaining[kept_outputs]
+    reduced = MomentMatrices(
+        to_columns,
+        np.triu(2.0 * forms) - forms * np.eye(size),  # products of different coordinates once
+        ratio[kept][by_ratio],
+        np.ascontiguousarray(signs[:, by_ratio]),
+        jumps[by_ratio],
+        first[by_ratio],
+        (first + end_output - first_output)[by_ratio],
+        weights[by_ratio],
+        np.zeros((kept.size, (order + 1) * size)),
+        kept_rows,
+        age,
+        remaining,
+        runs.head[kept_outputs],
+        (age == order) & (remaining == order),
+    )
+    _add_slopes(reduced)
+    return reduced
+
+
+def _chunks(
+    linear: LinearTorque, o: Observation, region: SignRegion
+) -> Iterator[tuple[slice, slice, Array, Array, Array]]:
+    """Yield blocks of outputs, with the raw samples that they depend on.
+
+    Outputs, samples, ``psi2`` ``(n2, samples)``, functions of speed ``(m, samples)``, and the
+    filtered columns ``(K, outputs)``.
+    """
+    starts, taps = o.filter.starts, o.filter.taps
+    # limit the share of overlapping windows
+    reach = max(_CHUNK, 8 * taps.size) - taps.size
+    start = 0
+    while start < starts.size:
+        nearest = starts[start : start + reach + 1]
+        end = start + int(np.searchsorted(nearest, starts[start] + reach, side="right"))
+        a, b = int(starts[start]), int(starts[end - 1]) + taps.size
+        psi1, psi2 = linear.columns(o, a, b)
+        phi = linear.functions(o, a, b)
+        side = np.where(region.centre @ psi2 >= 0.0, 1.0, -1.0)
+        raw = linear.rows(psi1, psi2, phi, np.sign(o.qd[a:b]), side)
+        raw *= o.filter.used[a:b]
+        rows = np.empty((linear.size, end - start))
+        rows[0] = o.measured[start:end]
+        if taps.size == 1:
+            rows[1:] = taps[0] * (raw if b - a == end - start else raw[:, starts[start:end] - a])
+        else:
+            _filter(raw, taps, starts[start:end] - a, rows[1:])
+        rows[1:] *= o.filter.gains[start:end]
+        yield slice(start, end), slice(a, b), psi2, phi, rows
+        start = end
+
+
+@njit(cache=True)
+def _filter(raw: Array, taps: Array, starts: Index, out: Array) -> None:
+    for k in range(raw.shape[0]):
+        row = raw[k]
+        for m in range(starts.shape[0]):
+            out[k, m] = product_sum(taps, row[starts[m] : starts[m] + taps.shape[0]])
+
+
+def _union(low: Index, high: Index, n: int) -> Index:
+    """Return the sorted union of ranges ``low:high``."""
+    change = np.zeros(n + 1, dtype=np.int32)
+    np.add.at(change, low, 1)
+    np.add.at(change, high, -1)
+    return np.flatnonzero(np.cumsum(change[:n]) > 0)
+
+
+def _orthonormal(gram: Array, *, drop: bool) -> tuple[Array, Array]:
+    """Find coordinates in which columns of a Gram matrix are nearly orthonormal.
+
+    Returns ``A'``, for coefficients, and ``inv(A)``, for columns. Columns for unknown shapes are
+    nearly collinear: ``drop`` leaves out directions that are rounding; others are not stretched.
+    """
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(gram / size / size[:, None])
+    if drop:
+        large = values > 1e-22 * values[-1]
+        values, vectors = values[large], vectors[:, large]
+    length = np.sqrt(np.maximum(values, 1e-14 * max(float(values[-1]), 1.0)))
+    # columns of zeros up to a multiple of four, for speed
+    a, inverse = size[:, None] * vectors * length, vectors / length / size[:, None]
+    padding = ((0, 0), (0, -length.size % 4))
+    return np.pad(a, padding), np.pad(inverse, padding)
+
+
+def _add_products(sums: Array, rows: Array, age: Short, head: Short, order: int) -> None:
+    """Add products of a block's rows, ``order`` previous ones first, in the flat layout."""
+    n, entry = age.size, 0
+
+    def product(places: Flags, j: int, k: int) -> Array:
+        """Sum products of the rows j and k before the flagged outputs."""
+        if not places.any():
+            return np.zeros(sums.shape[1:])
+        later = rows[:, order - j : order - j + n]
+        return (later if places.all() else later * places) @ rows[:, order - k : order - k + n].T
+
+    for j in range(order + 1):
+        for k in range(j, order + 1):
+            sums[entry] += product(age == order, j, k)
+            entry += 1
+    for length in range(1, order + 1):
+        for j in range(length):
+            for k in range(j, length):
+                sums[entry] += product((age == k) & (head == length), 0, k - j)
+                entry += 1
 
 
 class FastMoments:
@@ -57,52 +311,36 @@ class FastMoments:
         observations: Sequence[Observation],
         radius: float = RADIUS,
     ) -> None:
-        self.order = plain.order
+        self.order, self.radius = plain.order, radius
         self._linear, self._region, self._plain = linear, region, plain
         self._recordings = [
             moment_matrices(linear, o, plain.order, region, radius) for o in observations
         ]
-        self.radius = min(m.radius for m in self._recordings)
         self.uncertain_samples = sum(m.ratios.size for m in self._recordings)
         self.slow_evaluations = 0
 
     def at(self, values: Array) -> Moments:
         """Compute moments at parameter vectors ``(n, n_parameters)``, SI units."""
-        n = values.shape[0]
-        flat = np.empty((n, len(self._recordings), n_entries(self.order)))
+        flat = np.empty((len(values), len(self._recordings), n_entries(self.order)))
         with np.errstate(all="ignore"):
-            coefficients = self._linear.coefficients(values)
-            distance = self._region.distance(coefficients.leg)
-            inside = (distance <= self.radius) & (np.abs(coefficients.all).max(axis=1) < _LARGEST)
-            inside &= np.isfinite(values).all(axis=1) & coefficients.inside
+            c = self._linear.coefficients(values)
+            distance = self._region.distance(c.leg)
+            inside = c.inside & (distance <= self.radius)
+            # tolerance at the border, where the sign does not matter
+            reached = distance * (1.0 + 1e-9) + 1e-12
+            # one memory layout, to compile once
+            leg, lambda2 = np.ascontiguousarray(c.leg), np.ascontiguousarray(c.lambda2)
             for i, m in enumerate(self._recordings):
-                flat[:, i] = self._recording_moments(m, coefficients, distance, inside)
+                n_candidates = np.searchsorted(m.ratios, reached, side="right")
+                n_candidates[~inside] = 0
+                flat[:, i] = _moments(
+                    m, c.all @ m.to_columns, leg, lambda2, n_candidates, self.order
+                )
         slow = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
         if slow.any():
             self.slow_evaluations += int(np.count_nonzero(slow))
             flat[slow] = self._plain.flat(values[slow])
         return unpacked(flat, self.order)
-
-    def _recording_moments(
-        self,
-        m: MomentMatrices,
-        coefficients: Coefficients,
-        distance: Array,
-        inside: NDArray[np.bool_],
-    ) -> Array:
-        """Compute one recording's flat moments ``(n, n_entries)``, nan where not ``inside``."""
-        size = m.to_columns.shape[1]
-        z = np.zeros((distance.size, m.padded))
-        z[:, :size] = coefficients.all @ m.to_columns
-        # tolerance at the border, where the sign does not matter
-        n_candidates = np.searchsorted(m.ratios, distance * (1.0 + 1e-9) + 1e-12, side="right")
-        n_candidates = np.where(inside, n_candidates, -1)
-        # one memory layout, to compile once
-        leg = np.ascontiguousarray(coefficients.leg)
-        lambda2 = np.ascontiguousarray(coefficients.lambda2)
-        out = np.empty((distance.size, m.entries))
-        _all_vectors(out, z, leg, lambda2, n_candidates, self.order, *m.arrays)
-        return out
 
 
 def fast_moments(
@@ -116,11 +354,12 @@ def fast_moments(
     """Reduce recordings near draws ``(n, n_parameters)``, if the chain allows it."""
     draws = draws[np.isfinite(draws).all(axis=1)]
     linear = linear_torque(chain, observations, draws)
-    samples = sum(o.q.size for o in observations)
-    if linear is None or (linear.shapes and linear.size**2 > _OPERATIONS_PER_SAMPLE * samples):
+    if linear is None:
         return None
-    legs = linear.coefficients(draws).leg
-    region = SignRegion.around(legs, linear.typical_size())
+    # a plain evaluation takes about twenty operations a sample
+    if linear.shapes and linear.size**2 > 20 * sum(o.q.size for o in observations):
+        return None
+    region = SignRegion.around(linear.coefficients(draws).leg, linear.typical_size())
     if region is None:
         return None
     plain = PlainMoments(chain, observations, order) if plain is None else plain
@@ -128,101 +367,36 @@ def fast_moments(
 
 
 @njit(cache=True)
-def _correct_edge(
-    at: int,
-    order: int,
-    z: Array,
-    rows: Array,
-    age: Short,
-    remaining: Short,
-    head: Short,
-    inner: NDArray[np.bool_],
-    change: Array,
-    out: Array,
-) -> None:
-    """Add a changed output's effect on products with others at a run's edge.
-
-    A pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the change of
-    the earlier is combined with the other's new residual. It counts in entry ``j, k`` if the output
-    j periods after y exists and has a full past.
-    """
-    delta, place = change[at], int(age[at])
-    for h in range(-order, order + 1):
-        exists = remaining[at] >= h if h >= 0 else place >= -h
-        if not exists or inner[at + h]:
-            continue
-        other = at + h
-        value = product_sum(rows[other], z)
-        if h >= 0:
-            value += change[other]
-        if h == 0:
-            value += product_sum(rows[at], z)
-        value *= delta
-        later, lag = max(at, other), abs(h)
-        entry = lag
-        for j in range(order + 1 - lag):
-            if remaining[later] >= j and age[later] + j >= order:
-                out[entry] += value
-            entry += order + 1 - j
-        if place < order and 0 <= place + h < head[at]:
-            j, k = min(place, place + h), max(place, place + h)
-            out[head_entry(order, head[at], j, k)] += value
-
-
-@njit(cache=True)
-def _all_vectors(
-    out: Array,
-    z: Array,
-    leg: Array,
-    lambda2: Array,
-    n_candidates: Index,
-    order: int,
-    forms: Array,
-    signs: Array,
-    jumps: Array,
-    first: Index,
-    last: Index,
-    weights: Array,
-    slopes: Array,
-    rows: Array,
-    age: Short,
-    remaining: Short,
-    head: Short,
-    inner: NDArray[np.bool_],
-    all_inner: NDArray[np.bool_],
-) -> None:
-    """Fill ``out`` ``(n, n_entries)`` with the moments of each vector.
+def _moments(
+    m: MomentMatrices, z: Array, leg: Array, lambda2: Array, n_candidates: Index, order: int
+) -> Array:
+    """Compute the flat moments ``(n, n_entries)`` of each vector.
 
     A quadratic form for each entry, then the changes by kept samples whose power flows the other
     way, and the products of outputs that both change.
     """
-    n_kept, size = rows.shape[0], forms.shape[1]
-    single_output = order == 0 and weights.shape[1] == 1
-    # changed outputs are found again by cells
-    n_cells = n_kept // CELL + 1
-    change = np.zeros(n_cells * CELL + order)
-    in_list, changed_cells = np.zeros(n_cells, np.bool_), np.empty(n_cells, np.int64)
-    level, flipped = np.empty(_BATCH), np.empty(_BATCH, np.int64)
-    correction, slope = np.empty(order + 1), np.empty(slopes.shape[1])
+    out = np.empty((z.shape[0], m.forms.shape[0]))
+    n_kept, most, batch = m.rows.shape[0], m.weights.shape[1], 128
+    # changes are listed by the first output of each sample
+    change, listed = np.zeros(n_kept + order), np.zeros(n_kept, np.bool_)
+    places = np.empty(n_kept, np.int64)
+    level, flipped = np.empty(batch), np.empty(batch, np.int64)
+    correction, slope = np.empty(order + 1), np.empty(m.slopes.shape[1])
     for v in range(z.shape[0]):
-        if n_candidates[v] < 0:
-            out[v] = np.nan
-            continue
         vector = z[v]
-        for e in range(forms.shape[0]):
+        for e in range(m.forms.shape[0]):
             total = 0.0
-            for j in range(size):
-                total += vector[j] * product_sum(forms[e, j], vector)
+            for j in range(vector.size):
+                total += vector[j] * product_sum(m.forms[e, j], vector)
             out[v, e] = total
-        n_changed = 0
-        correction[:] = 0.0
+        n_listed = 0
         slope[:] = 0.0
-        for i0 in range(0, n_candidates[v], _BATCH):
-            n = min(_BATCH, n_candidates[v] - i0)
+        for i0 in range(0, n_candidates[v], batch):
+            n = min(batch, n_candidates[v] - i0)
             levels = level[:n]
             levels[:] = 0.0
-            for k in range(signs.shape[0]):
-                row, factor = signs[k, i0 : i0 + n], leg[v, k]
+            for k in range(m.signs.shape[0]):
+                row, factor = m.signs[k, i0 : i0 + n], leg[v, k]
                 for i in range(n):
                     levels[i] += row[i] * factor
             # branch-free, as half of the samples differ
@@ -232,46 +406,89 @@ def _all_vectors(
                 n_flipped += levels[i] < 0.0
             for i in flipped[:n_flipped]:
                 s = i0 + i
-                jump = product_sum(jumps[s], lambda2[v]) * levels[i]
-                row = slopes[s]
-                for k in range(slope.shape[0]):
+                jump = product_sum(m.jumps[s], lambda2[v]) * levels[i]
+                row = m.slopes[s]
+                for k in range(slope.size):
                     slope[k] += jump * row[k]
-                if single_output:
-                    correction[0] += (weights[s, 0] * jump) ** 2
-                    continue
-                a, b = first[s], last[s]
-                changes, weight = change[a:b], weights[s, : b - a]
-                for i in range(b - a):
-                    changes[i] += weight[i] * jump
-                for c in range(a // CELL, (b - 1) // CELL + 1):
-                    if not in_list[c]:
-                        in_list[c] = True
-                        changed_cells[n_changed] = c
-                        n_changed += 1
+                a, b = m.first[s], m.last[s]
+                changes, weight = change[a:b], m.weights[s, : b - a]
+                for k in range(b - a):
+                    changes[k] += weight[k] * jump
+                if not listed[a]:
+                    listed[a] = True
+                    places[n_listed] = a
+                    n_listed += 1
         for h in range(order + 1):
-            correction[h] += product_sum(slope[h * vector.size : (h + 1) * vector.size], vector)
-        for c in changed_cells[:n_changed]:
-            if all_inner[c]:
-                a, b = c * CELL, (c + 1) * CELL
-                for h in range(order + 1):
-                    correction[h] += product_sum(change[a:b], change[a + h : b + h])
-                continue
-            for m in range(c * CELL, min((c + 1) * CELL, n_kept)):
-                if change[m] == 0.0:
-                    continue
-                if inner[m]:
+            correction[h] = product_sum(slope[h * vector.size : (h + 1) * vector.size], vector)
+        for a in places[:n_listed]:
+            # up to the next place in the list, whose outputs follow
+            b = a + 1
+            while b < min(a + most, n_kept) and not listed[b]:
+                b += 1
+            for k in range(a, b):
+                if m.inner[k]:
                     for h in range(order + 1):
-                        correction[h] += change[m] * change[m + h]
-                    continue
-                for h in range(1, order + 1):
-                    if remaining[m] >= h and inner[m + h]:
-                        correction[h] += change[m] * change[m + h]
-                _correct_edge(m, order, vector, rows, age, remaining, head, inner, change, out[v])
+                        correction[h] += change[k] * change[k + h]
+                elif change[k] != 0.0:
+                    for h in range(1, m.remaining[k] + 1):
+                        if m.inner[k + h]:
+                            correction[h] += change[k] * change[k + h]
+                    _correct_edge(m, k, order, vector, change, out[v])
         entry = 0
         for j in range(order + 1):
             for h in range(order + 1 - j):
                 out[v, entry] += correction[h]
                 entry += 1
-        for c in changed_cells[:n_changed]:
-            change[c * CELL : (c + 1) * CELL] = 0.0
-            in_list[c] = False
+        for a in places[:n_listed]:
+            listed[a] = False
+            for k in range(a, min(a + most, n_kept)):
+                change[k] = 0.0
+    return out
+
+
+@njit(cache=True)
+def _correct_edge(
+    m: MomentMatrices, x: int, order: int, z: Array, change: Array, out: Array
+) -> None:
+    """Add a changed output's effect on products with others at a run's edge.
+
+    A pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the change of
+    the earlier is combined with the other's new residual. It counts in entry ``j, k`` if the output
+    j periods after y exists and has a full past.
+    """
+    for y in range(x - m.age[x], x + m.remaining[x] + 1):
+        if m.inner[y]:
+            continue
+        value = product_sum(m.rows[y], z)
+        if y >= x:
+            value += change[y]
+        if y == x:
+            value += product_sum(m.rows[x], z)
+        value *= change[x]
+        earlier, later = min(x, y), max(x, y)
+        entry = later - earlier
+        for j in range(order + 1 - (later - earlier)):
+            if m.remaining[later] >= j and m.age[later] + j >= order:
+                out[entry] += value
+            entry += order + 1 - j
+        if m.age[later] < m.head[later]:
+            out[head_entry(order, m.head[later], m.age[earlier], m.age[later])] += value
+
+
+@njit(cache=True)
+def _add_slopes(m: MomentMatrices) -> None:
+    """Sum the first-order change of lagged products by each kept sample's jump.
+
+    Pairs of outputs at the edge of a run are excluded.
+    """
+    size = m.rows.shape[1]
+    for s in range(m.first.size):
+        for k in range(m.first[s], m.last[s]):
+            weight = m.weights[s, k - m.first[s]]
+            for h in range(m.slopes.shape[1] // size):
+                slope = m.slopes[s, h * size : (h + 1) * size]
+                for other in (k - h, k + h):
+                    exists = m.remaining[k] >= h if other >= k else m.age[k] >= h
+                    if exists and (m.inner[k] or m.inner[other]):
+                        for j in range(size):
+                            slope[j] += weight * m.rows[other, j]

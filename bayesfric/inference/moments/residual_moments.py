@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from bayesfric.estimates import autoregression as ar
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -48,12 +49,6 @@ class Moments:
         return total
 
 
-def follows(o: Observation) -> NDArray[np.bool_]:
-    """Flag outputs ``(M - 1,)`` that are followed one period later in the same segment."""
-    step = np.diff(o.filter.starts)
-    return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
-
-
 @dataclass(frozen=True, eq=False)
 class Runs:
     """Position of each output in its run."""
@@ -66,28 +61,12 @@ class Runs:
     @classmethod
     def of(cls, observation: Observation, order: int) -> Runs:
         """Split the outputs of a recording into runs; zeros for order 0."""
-        n = observation.filter.n_outputs
-        if order == 0:
-            zeros = np.zeros(n, dtype=np.int16)
-            return cls(zeros, zeros, zeros)
-        begins = np.concatenate([[0], np.flatnonzero(~follows(observation)) + 1])[: max(n, 0)]
-        length = np.diff(np.append(begins, n))
-        age = np.arange(n) - np.repeat(begins, length)
+        follows = ar.follows(observation)
+        _, length = ar.runs(follows)
+        age = ar.ages(follows, follows.size)
         remaining = np.repeat(length, length) - 1 - age
-        head = np.repeat(np.minimum(length, order), length)
-        return cls(
-            np.minimum(age, order).astype(np.int16),
-            np.minimum(remaining, order).astype(np.int16),
-            head.astype(np.int16),
-        )
-
-    def count(self, order: int) -> tuple[int, NDArray[np.int64]]:
-        """Count outputs with a full past, and heads ``(order,)`` by length."""
-        head_lengths = self.head[self.age == 0]
-        heads = np.array(
-            [np.count_nonzero(head_lengths == k) for k in range(1, order + 1)], dtype=int
-        )
-        return int(np.count_nonzero(self.age == order)), heads
+        head = np.repeat(length, length)
+        return cls(*(np.minimum(x, order).astype(np.int16) for x in (age, remaining, head)))
 
 
 def n_entries(order: int) -> int:
@@ -119,9 +98,10 @@ class PlainMoments:
         self.chain, self.order = chain, order
         runs = [Runs.of(o, order) for o in observations]
         self._inputs = [o.inputs for o in observations]
-        counted = [r.count(order) for r in runs]
-        self.counts = np.array([n for n, _ in counted], dtype=np.int64)
-        self.head_counts = np.array([heads for _, heads in counted]).reshape(len(runs), order)
+        # outputs with a full past, and heads (R, p) by length
+        self.counts = np.array([np.count_nonzero(r.age == order) for r in runs], dtype=np.int64)
+        lengths = [r.head[r.age == 0] for r in runs]
+        self.head_counts = np.stack([np.bincount(x, minlength=order + 1)[1:] for x in lengths])
         self._recordings = [
             (o, chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps), r)
             for o, r in zip(observations, runs, strict=True)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from bayesfric.recordings.arrays import Array
@@ -13,17 +10,6 @@ from bayesfric.recordings.arrays import Array
 # A run is trusted when all ensembles together are this many autocorrelation times long, which
 # suffices to estimate that time (Goodman and Weare 2010, emcee's rule).
 LONG_ENOUGH = 50.0
-# Share of all walkers that may be stuck: if each had its share of the posterior, a 90 % interval of
-# the others would still hold 89 %. And share of an ensemble.
-_STUCK, _STUCK_IN_ONE = 0.01, 0.05
-# A run is given up after so many checks, share of the allowed steps, and steps, if it is predicted
-# to need so many times the allowed steps: a prediction from a short run may be off by as much.
-_LOOKS, _LEAST_SHARE, _LEAST_STEPS, _FAR = 4, 0.1, 500, 2.0
-# A run that still converges halves its predicted steps when its length doubles; above this ratio it
-# does not.
-_FALLING = 0.7
-# Walkers of an ensemble used for the mean autocorrelation.
-_WALKERS = 64
 
 
 def nested_rhat(draws: Array) -> Array:
@@ -63,7 +49,7 @@ def autocorrelation_time(draws: Array) -> Array:
         if not np.isfinite(x).all() or (np.ptp(x, axis=2) == 0.0).any():
             continue
         variance = np.mean(x**2)
-        subset = x[:, :: -(-walkers // _WALKERS)]
+        subset = x[:, :: -(-walkers // 64)]  # for speed
         tau_walkers = _integrated(_autocovariance(subset.reshape(-1, steps)) / np.mean(subset**2))
         means = x.mean(axis=1)
         means -= means.mean(axis=1, keepdims=True)
@@ -103,40 +89,3 @@ def effective_sample_size(draws: Array, tau: Array) -> Array:
     """Return the effective sample size ``(d,)``."""
     ensembles, walkers, steps, _ = draws.shape
     return np.asarray(ensembles * walkers * steps / tau)
-
-
-def negligible(walkers: NDArray[np.bool_]) -> bool:
-    """Whether the flagged walkers ``(ensembles, walkers)`` are too few to change an interval."""
-    return bool(walkers.mean() <= _STUCK and walkers.mean(axis=1).max() <= _STUCK_IN_ONE)
-
-
-def without_stuck(draws: Array, acceptance: Array) -> Array:
-    """Exclude walkers that never moved if they are negligible, as many of each ensemble."""
-    moved = acceptance > 0.0
-    if moved.all() or not negligible(~moved):
-        return draws
-    count = int(moved.sum(axis=1).min())
-    return np.stack(
-        [ensemble[np.flatnonzero(m)[:count]] for ensemble, m in zip(draws, moved, strict=True)]
-    )
-
-
-def steps_needed(
-    steps: int, ensembles: int, rhat: Array, max_rhat: float, tau: Array | float = 0.0
-) -> Array:
-    """Predict the number of steps ``(d,)`` to convergence.
-
-    The variance between ensembles falls as one over the number of steps; an autocorrelation time
-    that is not resolved yet still grows, so slow parameters need more.
-    """
-    by_rhat = steps * (rhat**2 - 1.0) / (max_rhat**2 - 1.0)
-    return np.maximum(by_rhat, LONG_ENOUGH * tau / ensembles)
-
-
-def hopeless(predictions: Sequence[tuple[int, float]], allowed: int) -> bool:
-    """Whether a run cannot converge in the allowed steps, and does not approach it."""
-    steps_ = predictions[-1][0]
-    recent = [needed for steps, needed in predictions if 2 * steps >= steps_]
-    is_far = min(recent) > _FAR * allowed and recent[-1] >= _FALLING * recent[0]
-    minimum = max(_LEAST_STEPS, _LEAST_SHARE * allowed)
-    return len(predictions) >= _LOOKS and steps_ >= minimum and is_far

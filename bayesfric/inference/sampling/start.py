@@ -16,10 +16,6 @@ from bayesfric.recordings.arrays import Array
 
 LogDensity = Callable[[Array], Array]
 
-# Fall of the log density at one standard deviation.
-_ONE_SD = 0.5
-# Assumed fall of the log density where it is minus infinity.
-_CLIFF = 50.0
 # Candidates from which a climb starts.
 CLIMBS = 5
 
@@ -138,10 +134,7 @@ def _climb(
     widths: Array | None,
     on_step: Callable[[Array], None],
 ) -> tuple[Array, float]:
-    """Climb from one place; return the peak and its log density.
-
-    Eight dampings are evaluated at once. It ends when a step gains less than 1e-3.
-    """
+    """Climb from one place until a step gains less than 1e-3; return the peak and its density."""
     damping = 1.0
     initial = 0.1 * (np.abs(x) + 1e-3) if widths is None else widths
     steps = _difference_steps(log_density, x, height, initial)
@@ -152,6 +145,7 @@ def _climb(
         gradient, curvature = gradient * steps, -hessian * np.outer(steps, steps)
         values, vectors = np.linalg.eigh((curvature + curvature.T) / 2.0)
         rotated = vectors.T @ gradient
+        # eight dampings are evaluated at once
         dampings = damping * 10.0 ** np.arange(-3.0, 5.0)
         clipped = np.clip(values, 1e-3, None)
         trials = x + np.array([vectors @ (rotated / (clipped + d)) for d in dampings]) * steps
@@ -178,7 +172,7 @@ def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: A
     for _ in range(20):
         trials = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
         fall = np.abs(log_density(trials) - height).reshape(2, -1).max(axis=0)
-        narrow, wide = fall < 0.2 * _ONE_SD, ~(fall < 8.0 * _ONE_SD)
+        narrow, wide = fall < 0.1, ~(fall < 4.0)
         # if the density is constant, keep a finite step
         narrow &= steps < 1e3 * (np.abs(x) + 1.0)
         too_wide |= wide
@@ -202,7 +196,7 @@ def _derivatives(
     step = np.diag(steps)
     values = log_density(np.concatenate([x + step, x - step, x + pair, x - pair]))
     # outside the support the density falls steeply
-    values = np.where(np.isfinite(values), values, height - _CLIFF)
+    values = np.where(np.isfinite(values), values, height - 50.0)
     up, down, both, neither = np.split(values, [d, 2 * d, 2 * d + rows.size])
     gradient = (up - down) / (2.0 * steps)
     hessian = np.diag((up - 2.0 * height + down) / steps**2)

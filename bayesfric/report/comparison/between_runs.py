@@ -12,8 +12,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, read_array
-from bayesfric.mechanism.parameter import quantity_of
-from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.mechanism.quantities import QUANTITIES, quantity_of
 from bayesfric.population.population import (
     Interval,
     Likelihood,
@@ -23,9 +22,7 @@ from bayesfric.population.population import (
     population,
 )
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.record import Summary, of_noise
-from bayesfric.report.summary.rows import PosteriorRow, first_angles, unwrapped
+from bayesfric.report.summary.record import PosteriorRow, Summary, first_angles, of_noise, unwrapped
 from bayesfric.report.words import csv_text
 
 
@@ -123,7 +120,7 @@ def shared_quantities(
     """
     angles = first_angles(summary.parameters for summary in runs.values())
     tables = {
-        run: {n: unwrapped(row, angles.get(n)) for n, row in put_reported(summary).rows.items()}
+        run: {n: unwrapped(row, angles.get(n)) for n, row in summary.rows.items()}
         for run, summary in runs.items()
         if summary.sampler.status != "unusable"
     }
@@ -133,7 +130,7 @@ def shared_quantities(
         rows = {
             run: row
             for run, table in tables.items()
-            if (row := table.get(name)) and row.sd and row.reported and row.reported.how.converged
+            if (row := table.get(name)) and row.sd and row.converged
         }
         if of_noise(name) or sum(map(_determined, rows.values())) < 2:
             continue
@@ -162,10 +159,10 @@ def _likelihood(
     if not _determined(row) and (row.verdict == "prior" or not drawn or name not in draws.prior):
         return None
     if not drawn:
-        return normal(row.mean, row.printed.sd)
+        return normal(row.mean, row.reported.sd)
     by = row.middle - stored.middle
     prior = None if name not in draws.prior else draws.prior[name] + by
-    return likelihood(draws.values[name] + by, row.printed.sd, prior)
+    return likelihood(draws.values[name] + by, row.reported.sd, prior)
 
 
 def between_runs_csv(pooled: Sequence[SharedQuantity]) -> str:

@@ -16,14 +16,20 @@ from typing import Any, Literal
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.templates import capital
-from bayesfric.estimates.point_estimate import METHODS, Kind, Method
-from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
-from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.estimates import METHODS, Method
+from bayesfric.estimates.point_estimate import Kind
+from bayesfric.mechanism.quantities import QUANTITIES, quantity_of, scales_with_torque
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.result_row import ResultRow, estimate_row, known_row, posterior_row
-from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.record import GAIN, Readable, Summary, of_noise
-from bayesfric.report.summary.rows import PosteriorRow, first_angles, unwrapped
+from bayesfric.report.summary.record import (
+    GAIN,
+    PosteriorRow,
+    Readable,
+    Summary,
+    first_angles,
+    of_noise,
+    unwrapped,
+)
 from bayesfric.report.words import csv_text, filled, line_of, listed
 
 REFERENCE = "reference"
@@ -102,7 +108,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     recording are not independent, and disagree more than that says. An estimate of the same run
     used the same data, so variances do not add: the larger of the two sds counts.
     """
-    runs = {name: put_reported(Summary.read(run, name)) for name, run in summaries.items()}
+    runs = {name: Summary.read(run, name) for name, run in summaries.items()}
     with_estimates = len(runs) == 1 if estimates is None else estimates
     angles = first_angles(run.parameters for run in runs.values())
     quantities: dict[str, Quantity] = {}

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings

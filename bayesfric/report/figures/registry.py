@@ -9,8 +9,8 @@ from typing import Any, Literal, NamedTuple
 from matplotlib.figure import Figure
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism.parameter import effort_words
-from bayesfric.recordings.moving import too_slow
+from bayesfric.mechanism.quantities import effort_words
+from bayesfric.recordings.checks import too_slow
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.friction import friction_caption, friction_figure

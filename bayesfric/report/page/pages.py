@@ -10,7 +10,7 @@ from pydantic import Field
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
-from bayesfric.recordings.moving import too_slow
+from bayesfric.recordings.checks import too_slow
 from bayesfric.report.comparison.between_runs import SharedQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, read_captions
@@ -19,8 +19,7 @@ from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.parts import friction_cells
-from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.rows import Pair, Part
+from bayesfric.report.summary.record import Pair, Part, Readable, Summary
 from bayesfric.report.terminal import brief
 
 

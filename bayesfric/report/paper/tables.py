@@ -17,7 +17,6 @@ from bayesfric.base import __version__
 from bayesfric.report.comparison.comparison import Comparison, comparison, comparison_csv
 from bayesfric.report.numbers import LATEX
 from bayesfric.report.result_row import ResultRow, known_row, result_rows
-from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.words import filled
 
@@ -58,7 +57,7 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
     What no scaling of load and alpha changes comes first, without what depends on the motion;
     ``run`` names it in messages.
     """
-    read = put_reported(Summary.read(summary, run))
+    read = Summary.read(summary, run)
     rows = result_rows(read)
     derived = [name for name, row in read.derived.items() if not row.gauge_free]
     known = [known_row(name, row.value, row) for name, row in read.fixed.items()]
@@ -136,7 +135,7 @@ def _cell(cell: ResultRow | None) -> str:
 
 def summary_table(summary: Readable) -> str:
     """Write the parameters and derived quantities of a summary as CSV."""
-    return str(put_reported(Summary.read(summary)).frame.to_csv(index=False))
+    return str(Summary.read(summary).frame.to_csv(index=False))
 
 
 def summary_texts(summary: Readable, run: str) -> dict[str, str]:

@@ -13,20 +13,16 @@ from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import typical_load, weighted_torque
 from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.prior.priors import bound_of
+from bayesfric.inference.priors import bound_of
 from bayesfric.inference.sampling import convergence
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
-from bayesfric.mechanism.parameter import quantity_of
+from bayesfric.mechanism.quantities import quantity_of
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.report.summary.rows import Described
+from bayesfric.report.summary.record import Described, PosteriorRow
 from bayesfric.report.words import listed
 from bayesfric.results.reported import LEVEL as LEVEL
 
-# Samples times draws for the totals; more draws change no printed digit.
-_TOTALS_BUDGET = 25_000_000
-# A total below this share of the others of its unit is zero but for rounding.
-_ROUNDING = 1e-9
 # The loss per torque that a factor or an efficiency is made of, eqs. (4) and (6), and the side on
 # which one lies where there is none.
 _LOSSES: dict[str, tuple[Callable[[Array], Array], str]] = {
@@ -70,7 +66,7 @@ def groups(fit: Fit) -> Groups:
     return _totals(fit), coefficients(fit)
 
 
-def described_as(quantity: Any) -> dict[str, str]:
+def described_as(quantity: Any) -> dict[str, Any]:
     """Give unit, symbol and meaning of a parameter or derived quantity."""
     return {key: getattr(quantity, key) for key in Described.model_fields}
 
@@ -128,7 +124,7 @@ def gradients(fit: Fit, group: Group) -> Array:
     return np.asarray((change[:, :k] - change[:, k:]) / (2.0 * steps))
 
 
-def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
+def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, PosteriorRow]:
     """Put all derived quantities into the form of ``summary.json``, by name."""
     rows = {}
     for group in (group for group in derived if group.quantities):
@@ -144,17 +140,15 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
             if by["verdict"] == "prior":
                 by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
             by |= loss_leaning(q.name, q.values)
-            if np.isfinite(prior).any():
-                by["prior_interval"] = spread(prior)["interval"]
-            rows[q.name] = {
+            rows[q.name] = PosteriorRow(
                 **described_as(q),
                 **spread(q.values),
-                "converged": bool(converged),
+                converged=bool(converged),
                 **by,
-                "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
-                "gauge_free": q.gauge_free,
-                **({"of_motion": True} if q.of_motion else {}),
-            }
+                undefined_share=1.0 - float(np.isfinite(q.values).mean()),
+                gauge_free=q.gauge_free,
+                of_motion=q.of_motion,
+            )
     return rows
 
 
@@ -163,15 +157,18 @@ def weakly_given(names: list[str]) -> dict[str, Any]:
     return {"verdict": "weak", "given_by": names} if names else {}
 
 
-def _totals(fit: Fit) -> Group:
-    """Give the totals of eq. (11) that are determined and no parameter."""
+def _totals(fit: Fit, *, budget: int = 25_000_000) -> Group:
+    """Give the totals of eq. (11) that are determined and no parameter.
+
+    ``budget`` is samples times draws; more draws change no printed digit.
+    """
     observations = [o.excerpt() for o in fit.observations]
     projection = TotalsProjection(fit.chain, observations)
     names = list(zip(projection.names, projection.labels, projection.open, strict=True))
     wanted = [
         i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
     ]
-    most = max(400, _TOTALS_BUDGET // sum(o.q.size for o in observations))
+    most = max(400, budget // sum(o.q.size for o in observations))
     maps = projection.of_samples()
 
     def every(parameters: Array) -> Array:
@@ -197,11 +194,11 @@ def _totals(fit: Fit) -> Group:
     )
 
 
-def _is_zero(i: int, drawn: Array, units: Sequence[str]) -> bool:
-    """Whether a total is zero by geometry, but for rounding."""
+def _is_zero(i: int, drawn: Array, units: Sequence[str], *, rounding: float = 1e-9) -> bool:
+    """Whether a total is zero by geometry, but for a share of the others of its unit."""
     sizes = np.abs(drawn).max(axis=1)
     same_unit = [size for size, unit in zip(sizes, units, strict=True) if unit == units[i]]
-    return bool(sizes[i] <= _ROUNDING * max(same_unit))
+    return bool(sizes[i] <= rounding * max(same_unit))
 
 
 def coefficients(fit: Fit) -> Group:
@@ -242,7 +239,7 @@ def sound_quantities(fit: Fit, group: Group) -> Flags:
     number, diagnostics = len(group.quantities), fit.posterior.diagnostics
     if diagnostics.status == "reliable":
         return np.ones(number, dtype=np.bool_)
-    draws = convergence.without_stuck(fit.posterior.draws, diagnostics.acceptance)
+    draws = fit.posterior.draws
     ensembles, walkers, steps, d = draws.shape
     draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // group.most))]
     if draws.shape[2] < 2:

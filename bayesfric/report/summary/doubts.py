@@ -1,4 +1,4 @@
-"""Doubts about the numbers of a posterior whose sampling has converged.
+"""Bounds, model discrepancy, and doubts about the numbers of a posterior.
 
 A posterior holds if model, noise and recording are what they are assumed to be. A doubt says that
 they are not: such numbers are not called determined by the data, and the run is not reliable.
@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from bayesfric.diagnostics.before_a_fit import (
     EXPLAINED,
@@ -21,19 +22,107 @@ from bayesfric.diagnostics.before_a_fit import (
     strange_velocity,
 )
 from bayesfric.diagnostics.explanation import of_recording
-from bayesfric.estimates.information import CORRELATED
+from bayesfric.estimates.autoregression import CORRELATED
 from bayesfric.estimates.input_error import CONTRADICTED
+from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism.parameter import quantity_of
-from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
-from bayesfric.recordings.resolution import LEAST_RATIO
-from bayesfric.report.summary.conclusions import held, noise_cut
-from bayesfric.report.summary.noise import correlation_of
-from bayesfric.report.summary.record import Message, Summary
-from bayesfric.report.summary.rows import PosteriorRow, sd_towards
+from bayesfric.inference.noise import SCALES
+from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State, quantity_of
+from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.filters import LEAST_RATIO
+from bayesfric.report.summary.derived_quantities import Groups, leaning, loss_leaning, spread
+from bayesfric.report.summary.record import (
+    Message,
+    ModelError,
+    PosteriorRow,
+    Summary,
+    of_noise,
+    sd_towards,
+)
+from bayesfric.report.words import line_of
 
-# Share of a number beyond which first order says little of what moves it.
-_FIRST_ORDER = 0.5
+# -- bounds
+
+
+def bound_hint(name: str, row: PosteriorRow) -> str:
+    """Say what to do about the bound that holds a number; nothing where none does.
+
+    Nor where the bound is that of the residuals' autocorrelation.
+    """
+    if not row.held or row.bound is None or _of_residuals(name):
+        return ""
+    bound = f"{row.bound:.4g} {row.unit}".strip()
+    kind = "physical bound" if row.bound_physical else "set bound"
+    return line_of(kind, {"name": name, "bound": bound})
+
+
+def _of_residuals(name: str) -> bool:
+    """Whether it is of the noise, and the residuals of an estimate choose it."""
+    scale = SCALES.get(name.split(".")[1]) if of_noise(name) else None
+    return scale is not None and scale.chosen
+
+
+def noise_cut(name: str, row: PosteriorRow) -> bool:
+    """Whether a prior keeps noise smaller than in the data: intervals are then too narrow."""
+    if not of_noise(name) or row.at_bound != "upper" or row.bound_physical or not row.held:
+        return False
+    return name.split(".")[1] in SCALES and not _of_residuals(name) and row.bound is not None
+
+
+def bound_warning(name: str, row: PosteriorRow) -> str:
+    """Warn of a bound that was set, not given by physics: it cuts the posterior off.
+
+    Where that concerns all numbers it is a doubt (:func:`noise_cut`).
+    """
+    if row.bound_physical or noise_cut(name, row) or not (hint := bound_hint(name, row)):
+        return ""
+    return line_of("bound", {"name": name, "side": row.at_bound, "fix": hint})
+
+
+# -- model discrepancy
+
+
+def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
+    """Put intervals with model discrepancy into a summary, and judge by them."""
+    discrepancy = fit.discrepancy
+    if discrepancy is None:
+        return summary
+    part = ModelError(shown=discrepancy.is_plausible, chance=discrepancy.chance)
+    if not discrepancy.moved:
+        return summary.model_copy(update={"model_error": part})
+    wide = fit.wide.posterior.flat()
+    draws = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
+    for group in derived:
+        draws |= group.named(wide[:: -(-len(wide) // group.most)])
+    possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+    priors = {n: p.limits for n, p in zip(fit.posterior.names, fit.posterior.priors, strict=True)}
+    changes = {}
+    for name, x in draws.items():
+        row = summary.rows[name]
+        if change := _widened(row, x):
+            if row.at_bound is None:  # a wider posterior may come to lean on a bound
+                limits = priors.get(name)
+                change |= leaning(x, limits, possible[name]) if limits else loss_leaning(name, x)
+            changes[name] = change
+    return summary.with_rows(changes, model_error=part)
+
+
+def _widened(row: PosteriorRow, draws: Array) -> dict[str, Any]:
+    """Say what changes of a row; nothing of one that the data leave open anyway."""
+    is_open = row.verdict == "prior" and not row.held
+    if is_open or np.isfinite(draws).sum() < 0.5 * draws.size:
+        return {}
+    wide = spread(draws)
+    low, high = wide["interval"]
+    # what is improbable and far is no standard deviation: that of a normal as wide
+    sd = min(wide["sd"], (high - low) / (2.0 * norm.ppf(0.5 + 0.5 * wide["level"])))
+    change = {"model_error_sd": sd, "model_error_interval": wide["interval"]}
+    if row.verdict == "data" and row.prior_sd and sd > WIDE * row.prior_sd:
+        change["verdict"] = "weak"
+    return change
+
+
+# -- doubts
 
 
 def find_doubts(
@@ -51,7 +140,7 @@ def find_doubts(
     rows = {**summary.joint, **summary.derived}
     determined = [name for name, row in rows.items() if row.verdict == "data"]
     # of the data in any way: a limit, or what they determine with a prior's help, too
-    of_data = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
+    of_data = [name for name, row in rows.items() if row.verdict != "prior" or row.held]
     doubts = [
         *against_prior(contradicted),
         *strange_velocity(fit.observations),
@@ -94,8 +183,20 @@ def _correlated(summary: Summary, determined: Sequence[str]) -> Iterator[dict[st
     if (correlation := correlation_of(summary)) is None:
         return
     rows, (lag, times) = summary.rows, correlation
-    if narrow := [name for name in determined if rows[name].printed.sd < times * rows[name].sd]:
+    if narrow := [name for name in determined if rows[name].reported.sd < times * rows[name].sd]:
         yield {"kind": "independent", "lag": lag, "times": times, "of": narrow}
+
+
+def correlation_of(summary: Summary) -> tuple[float, float] | None:
+    """Give lag-one correlation of residuals assumed independent, and how much it matters.
+
+    That is the factor by which intervals are too narrow, of a first-order autoregression.
+    """
+    lag = summary.noise.innovation_lag1
+    # simulated positions are correlated by their model
+    if summary.likelihood.method != "input-error" or lag is None or lag < CORRELATED:
+        return None
+    return lag, float(np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99))))
 
 
 def _unchecked(fit: Fit, summary: Summary) -> Iterator[dict[str, Any]]:
@@ -123,10 +224,13 @@ def _missing(summary: Summary, of_data: Sequence[str]) -> Iterator[dict[str, Any
         yield {key: x for key, x in message.items() if key != "parameters"}
 
 
-def _far(row: PosteriorRow, move: float) -> bool:
-    """Whether a number moves, by so many posterior sds, by more than half of its value."""
+def _far(row: PosteriorRow, move: float, *, first_order: float = 0.5) -> bool:
+    """Whether a number moves, by so many posterior sds, by more than half of its value.
+
+    Beyond ``first_order``, a share of the number, first order says little of what moves it.
+    """
     signed = row.interval[0] < 0.0 < row.interval[1] or row.period is not None
-    return not signed and abs(move) * row.sd > _FIRST_ORDER * abs(row.middle)
+    return not signed and abs(move) * row.sd > first_order * abs(row.middle)
 
 
 def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
@@ -160,7 +264,7 @@ def _acceleration(fit: Fit, summary: Summary, determined: list[str]) -> Iterator
         name
         for name in determined
         if _accelerates(terms.get(name) or QUANTITIES.get(quantity_of(name)))
-        and summary.rows[name].printed.sd < lost * abs(summary.rows[name].middle)
+        and summary.rows[name].reported.sd < lost * abs(summary.rows[name].middle)
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}
@@ -186,14 +290,13 @@ def references_off(summary: Summary) -> dict[str, float]:
     times = {}
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
-        if row is None or row.verdict == "prior" or row.converged is False:
+        if row is None or row.verdict == "prior" or not row.converged:
             continue
         away = row.middle - reference.value
         if row.period:
             away -= row.period * round(away / row.period)
-        interval, sd = (row.printed.low, row.printed.high), row.printed.sd
-        sd = float(
-            np.hypot(sd_towards(reference.value, row.middle, interval, sd), reference.sd or 0.0)
-        )
+        printed = row.reported
+        own = sd_towards(reference.value, row.middle, printed.interval, printed.sd)
+        sd = float(np.hypot(own, reference.sd or 0.0))
         times[name] = abs(away) / sd if sd > 0.0 else 0.0
     return {name: far for name, far in times.items() if far > CONTRADICTED}

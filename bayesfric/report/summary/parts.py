@@ -7,7 +7,7 @@ changed nothing (``studies/replication``). Intervals that miss the truth too oft
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.diagnostics.policy import REPLICATES
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.identifiability.friction_curve import (
     friction_curves,
@@ -31,22 +31,22 @@ from bayesfric.report.numbers import Medium
 from bayesfric.report.summary.derived_quantities import Groups, rms_of
 from bayesfric.report.summary.record import (
     Coverage,
+    Discrepancy,
     Friction,
     FrictionRow,
+    HeldOut,
+    PosteriorRow,
     SelfCheck,
     SelfCheckRow,
     Summary,
+    Validation,
     of_noise,
 )
-from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import LEVEL, Status
 
 # -- held-out validation
 
-LEVELS = (0.5, 0.9, 0.99)
-# Coverage of the 90 % intervals that passes.
-_JUDGED, _PASSES = 0.9, (0.85, 0.95)
 # Standard errors by which a coverage must be off.
 _SURE = 2.0
 
@@ -70,8 +70,8 @@ def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
     return Coverage(share=share, standard_error=error, effective_outputs=effective)
 
 
-def validation_record(fit: Fit) -> dict[str, Any]:
-    """Compare predictions with held-out outputs, for ``summary.json``."""
+def validation_record(fit: Fit) -> Validation:
+    """Compare predictions with held-out outputs."""
     outputs = fit.target.likelihood.outputs[0]
     borrowed = sorted({quantity for p in fit.held_out for quantity in p.borrowed})
     how = (
@@ -83,65 +83,60 @@ def validation_record(fit: Fit) -> dict[str, Any]:
             f"; the {' and the '.join(borrowed)} of a recording held out whole is that of a "
             "fitted one, picked at random for each draw"
         )
-    return {
-        "predictive": how,
-        "quantity": outputs.quantity,
-        "unit": outputs.unit,
-        "parts": {
-            p.held_out.name: {
-                "held_out": p.held_out.part,
-                "from": float(p.held_out.observation.time[0]),
-                "to": float(p.held_out.observation.time[-1]),
-                **_numbers([p], outputs),
-            }
-            for p in fit.held_out
-        },
-        "pooled": _numbers(fit.held_out, outputs),
-    }
+    return Validation(
+        predictive=how,
+        quantity=outputs.quantity,
+        unit=outputs.unit,
+        parts={p.held_out.name: _held_out([p], outputs, p.held_out.part) for p in fit.held_out},
+        pooled=_held_out(fit.held_out, outputs, "all together"),
+    )
 
 
-def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, Any]:
-    observations = [p.held_out.observation for p in predictions]
-    at = places(observations)
+def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) -> HeldOut:
+    at = places([p.held_out.observation for p in predictions])
     pit = np.concatenate([p.pit for p in predictions])
     residual = np.concatenate([p.measured - p.mean for p in predictions])
     variance = np.concatenate([p.variance for p in predictions])
     standard = residual / np.sqrt(variance)
     centred = standard - standard.mean()
     out = np.abs(pit - 0.5)  # how far from the middle of what was predicted
-    shares = {level: share_of(out <= level / 2.0, at, centred) for level in LEVELS}
-    numbers: dict[str, Any] = {
-        "outputs": residual.size,
-        "coverage": {f"{level:g}": share.as_dict() for level, share in shares.items()},
-        "residual_rms": rms_of(residual),
-        "predictive_sd": math.sqrt(float(variance.mean())),
-        "discrepancy": _discrepancy(residual**2 - variance, at),
-    }
-    verdict = _verdict(shares[_JUDGED], numbers["discrepancy"])
-    share, off = shares[_JUDGED], numbers["discrepancy"]
+    shares = {level: share_of(out <= level / 2.0, at, centred) for level in (0.5, LEVEL, 0.99)}
+    share, off = shares[LEVEL], _discrepancy(residual**2 - variance, at)
+    verdict = _verdict(share, off)
     words = {"covers": share.text, "effective": share.effective_outputs}
-    if off["interval"][0] > 0.0:
-        words["beyond"] = f"{off['value']:.3g} {outputs.unit}"
-    says = line_of(verdict, words | {"quantity": outputs.quantity})
-    return numbers | {"verdict": verdict, "says": says}
+    if off.interval[0] > 0.0:
+        words["beyond"] = f"{off.value:.3g} {outputs.unit}"
+    return HeldOut(
+        held_out=part,
+        outputs=residual.size,
+        coverage={f"{level:g}": share for level, share in shares.items()},
+        residual_rms=rms_of(residual),
+        predictive_sd=math.sqrt(float(variance.mean())),
+        discrepancy=off,
+        verdict=verdict,
+        says=line_of(verdict, words | {"quantity": outputs.quantity}),
+    )
 
 
-def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
+def _discrepancy(excess: Array, at: NDArray[np.int64]) -> Discrepancy:
     """Root of the mean squared residual beyond the predictive variance, with its interval."""
     mean = float(excess.mean())
     error = math.sqrt(long_run_variance(excess - mean, at)) / excess.size
     reach = float(ndtri(0.5 + LEVEL / 2.0)) * error
     low, value, high = (math.sqrt(max(x, 0.0)) for x in (mean - reach, mean, mean + reach))
-    return {"value": value, "interval": [low, high], "level": LEVEL}
+    return Discrepancy(value=value, interval=[low, high], level=LEVEL)
 
 
-def _verdict(share: Coverage, discrepancy: Mapping[str, Any]) -> str:
-    low, high = _PASSES
+def _verdict(
+    share: Coverage, discrepancy: Discrepancy, *, passes: tuple[float, float] = (0.85, 0.95)
+) -> str:
+    """Judge by the coverage of the intervals, and whether it ``passes``."""
+    low, high = passes
     if low <= share.share <= high:
         return "covered"
     # too few are inside, and what is outside is too far out: then both say the same
-    beyond = share.share < low and discrepancy["interval"][0] > 0.0
-    if not beyond and abs(share.share - _JUDGED) <= _SURE * share.standard_error:
+    beyond = share.share < low and discrepancy.interval[0] > 0.0
+    if not beyond and abs(share.share - LEVEL) <= _SURE * share.standard_error:
         return "undecided"
     return "too wide" if share.share > high else "model discrepancy"
 
@@ -214,32 +209,29 @@ def _replicate_errors(
 def _self_check_row(
     row: PosteriorRow, truth: Array, missed: Array, unexplained: Array, share: float
 ) -> SelfCheckRow:
-    """Sum up one quantity; replicates may be subsamples, a ``share`` of the recording."""
+    """Sum up one quantity; replicates may be subsamples, a ``share`` of the recording.
+
+    The coverage is the chance that an interval holds the truth that noiseless fits miss by ``z``
+    sds. The noise scale of a fit includes what filters and encoder leave of the torque, so less of
+    it is noise; where they leave more, it is larger.
+    """
     finite = np.isfinite(missed) & np.isfinite(truth)
     missed, unexplained = missed[finite], unexplained[finite]
     z = missed / row.sd
     bias, error = float(z.mean()), float(z.std(ddof=1) / np.sqrt(z.size))
     # the recording scatters less than its subsamples, but has the same bias
     z = bias + (z - bias) * np.sqrt(min(1.0, share + 1.0 / z.size))
+    scatter = np.sqrt(np.clip(1.0 - unexplained, 1e-12, None))
     # of the interval that is printed, with model discrepancy
-    hit = _coverage(z, unexplained, row.printed.sd / row.sd)
+    width = row.reported.sd / row.sd * norm.ppf(0.5 + LEVEL / 2.0)
+    half = width * np.sqrt(np.clip(unexplained, 1.0, None))
+    hit = norm.cdf((half - z) / scatter) - norm.cdf((-half - z) / scatter)
     return SelfCheckRow(
         bias=bias,
         bias_error=error,
         coverage=float(hit.mean()),
         coverage_error=float(hit.std(ddof=1) / np.sqrt(z.size)),
     )
-
-
-def _coverage(z: Array, unexplained: Array, width: float) -> Array:
-    """Chance that an interval holds the truth that noiseless fits miss by ``z`` sds, ``(n,)``.
-
-    ``width`` is the interval's over the posterior's. The noise scale of a fit includes what filters
-    and encoder leave of the torque, so less of it is noise; where they leave more, it is larger.
-    """
-    scatter = np.sqrt(np.clip(1.0 - unexplained, 1e-12, None))
-    half = width * norm.ppf(0.5 + LEVEL / 2.0) * np.sqrt(np.clip(unexplained, 1.0, None))
-    return np.asarray(norm.cdf((half - z) / scatter) - norm.cdf((-half - z) / scatter))
 
 
 # -- friction at recorded speeds

@@ -2,185 +2,277 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
-from collections.abc import Mapping
-from functools import cached_property
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput
+from bayesfric.base.options import configuration_error
 from bayesfric.base.safe_read import read_json
-from bayesfric.estimates.point_estimate import Method
-from bayesfric.report.summary.rows import (
-    EstimatedRow,
-    KnownRow,
-    Name,
-    NotNegative,
-    Open,
-    Pair,
-    Part,
-    PosteriorRow,
-    ReferenceRow,
-    Residual,
-    RollOutPart,
-    Share,
-)
+from bayesfric.estimates import Method
+from bayesfric.estimates.point_estimate import HALF, Bound, Kind
+from bayesfric.identifiability.identification import OpenDirection, SpeedTerm
+from bayesfric.identifiability.local import WIDE
+from bayesfric.inference.stiction_violations import StictionViolation
+from bayesfric.mechanism.quantities import turned
 from bayesfric.report.words import clause, line_of, words_of
-from bayesfric.results.reported import Status, Verdict, verdict
+from bayesfric.results.reported import (
+    KNOWN_BY,
+    LEVEL,
+    Determined,
+    Reported,
+    Status,
+    Verdict,
+    outcome_of,
+)
+from bayesfric.results.roll_out import RollOutPart
 
 if TYPE_CHECKING:
     import pandas as pd
 
 GAIN = "drive.gain"
-# A summary is a page or two of numbers; anything larger is some other file.
-_LARGEST = 20_000_000
-# First version whose runs can be read.
-_OLDEST = (0, 2)
+# JSON has lists only; a pair is one with a low and a high end.
+Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+Share = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+Name = Annotated[str, Field(min_length=1)]
 
 
-class EstimateTable(Part):
-    """A point estimate."""
+class Part(BaseModel):
+    """A piece of a summary, checked when read."""
 
-    parameters: dict[Name, EstimatedRow]
-    converged: bool = True
-    point: dict[Name, FiniteFloat] = Field(default_factory=dict)
-    residual_rms: NotNegative | None = None
-    residual_unit: str = ""
-    outputs: int | None = None
-    assumption: str = ""
-    notes: list[str] = Field(default_factory=list)
+    # keys of other versions are ignored; what they lack has a default
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
+    @classmethod
+    def read(cls, document: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
+        """Check what a file, called ``where`` in messages, or a caller holds.
 
-class Likelihood(Part):
-    """What the posterior compares with the recording, and how."""
+        An instance is returned as it is. BadInput, naming the key, where something is missing or
+        of another type.
+        """
+        if isinstance(document, cls):
+            return document
+        try:
+            # as JSON, of which pydantic also reads tuples, but not "1" as a number
+            return cls.model_validate_json(json.dumps(document, default=jsonable))
+        except ValidationError as error:
+            wrong = configuration_error(f"{where}: ", "configuration", error, document, cls)
+            hint = "name a run that 'bayesfric fit' wrote, or fit it again"
+            raise BadInput(wrong.where, wrong.what, hint) from None
 
-    method: Literal["input-error", "output-error"] = "input-error"
-    linearisation: FiniteFloat | None = None
-
-
-class NullDirection(Part):
-    """Parameters that change together without changing any predicted torque."""
-
-    parameters: dict[Name, FiniteFloat] = Field(default_factory=dict)
-    meaning: str
-
-
-class RemedyRow(Open):
-    """What to do about an open direction."""
-
-    kind: str = ""
-    text: str
-    log_sd_after: NotNegative | None = None
+    def as_dict(self) -> dict[str, Any]:
+        """Give what JSON has: strings, numbers, lists and dicts, and ``None`` for infinity."""
+        return dict(jsonable(self.model_dump()))
 
 
-class OpenDirectionRow(Open):
-    """A null or weak direction, with why and what lifts it."""
-
-    kind: str = "null"
-    exponents: dict[Name, FiniteFloat] = Field(default_factory=dict)
-    meaning: str
-    reasons: list[str] = Field(default_factory=list)
-    remedies: list[RemedyRow] = Field(default_factory=list)
+# -- rows
 
 
-class Identifiability(Part):
-    """What no recording of this kind can determine."""
+class Described(Part):
+    """What a quantity is; the symbol is LaTeX without dollar signs."""
 
-    null_directions: list[NullDirection] = Field(default_factory=list)
-    directions: list[OpenDirectionRow] = Field(default_factory=list)
-
-
-class Tried(Part):
-    """One order of the noise that was tried."""
-
-    order: int
-    bic: FiniteFloat
+    unit: str
+    symbol: str = ""
+    meaning: str = ""
 
 
-class Whiteness(Part):
-    """Whether what the noise model does not predict passes as white."""
-
-    test: str = ""
-    p_value: FiniteFloat | None = None
-    white: bool
-
-
-class Noise(Part):
-    """The noise model, and the evidence for it."""
-
-    model: str = "white"
-    parameters: list[str] = Field(default_factory=list)
-    order: int | None = None
-    accounts_for_correlation: bool | None = None
-    residual_lag1: FiniteFloat | None = None
-    innovation_lag1: FiniteFloat | None = None
-    innovation_whiteness: Whiteness | None = None
-    autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
-    order_chosen_from: list[Tried] = Field(default_factory=list)
-    # partial autocorrelations that priors are around, and how far from these they reach
-    memory: list[FiniteFloat] = Field(default_factory=list)
-    room: NotNegative = 0.0
-
-
-class Coverage(Part):
-    """How much of what was held out lies in a predictive interval."""
-
-    share: FiniteFloat
-    standard_error: NotNegative
-    effective_outputs: FiniteFloat | None = None
-
-    @property
-    def text(self) -> str:
-        """In per cent, with its error."""
-        return f"{100 * self.share:.1f} ± {100 * self.standard_error:.1f} %"
-
-
-class Discrepancy(Part):
-    """By how much outputs are off beyond what noise and posterior explain."""
+class ValueRow(Described):
+    """One number of a point estimate, a fixed parameter, or a value from elsewhere."""
 
     value: FiniteFloat
+    sd: NotNegative | None = None
+    # of an estimate, as ``EstimatedValue`` has it
+    sd_robust: NotNegative | None = None
+    kind: Kind | None = None
+    gauge_free: bool | None = None
+    determined: bool | None = None
+    at_bound: Bound | None = None
+    span: Pair | None = None
+    source: str = "reference"  # of a value from elsewhere: the manufacturer's, or from CAD
+
+
+class PosteriorRow(Described):
+    """One parameter or derived quantity of a posterior."""
+
+    mean: FiniteFloat
+    sd: NotNegative  # if the model is right, as is `interval`
+    median: FiniteFloat | None = None
     interval: Pair
-    level: FiniteFloat = 0.9
+    level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
+    rhat: FiniteFloat | None = None
+    ess: FiniteFloat | None = None
+    converged: bool = True
+    prior: str = ""
+    prior_default: bool = False
+    prior_sd: NotNegative | None = None
+    contraction: FiniteFloat | None = None
+    data_sd: NotNegative | None = None
+    verdict: Determined
+    at_bound: Bound | None = None
+    bound: FiniteFloat | None = None
+    bound_physical: bool | None = None
+    period: FiniteFloat | None = None  # of an angle
+    of_motion: bool = False  # whether another motion of the same joint has another value
+    undefined_share: Share | None = None  # of the draws of a derived quantity
+    gauge_free: bool | None = None
+    doubted: list[str] = []  # kinds of doubts that concern it
+    undoubted: Determined | None = None  # its verdict without them
+    given_by: list[str] = []  # parameters whose priors give its scale
+    # share of outputs that see its way of driving, where they are too few to determine it and it
+    # follows from the other way
+    mirrored: Share | None = None
+    # with model discrepancy, where the recordings show any
+    model_error_interval: Pair | None = None
+    model_error_sd: NotNegative | None = None
+    # concluded from the rest where it is not given
+    reported: Reported = None  # type: ignore[assignment]
 
+    @model_validator(mode="after")
+    def _with_reported(self) -> Self:
+        if "reported" not in self.model_fields_set:
+            self.__dict__["reported"] = self._concluded()
+        return self
 
-class HeldOut(Part):
-    """How well one held-out part, or all of them, was predicted."""
+    def changed(self, update: Mapping[str, Any]) -> Self:
+        """Change keys, and what is reported with them."""
+        row = self.model_copy(update=update)
+        return row.model_copy(update={"reported": row._concluded()})
 
-    held_out: str = "all together"
-    from_: FiniteFloat | None = Field(None, alias="from")
-    to: FiniteFloat | None = None
-    outputs: int
-    coverage: dict[str, Coverage]
-    residual_rms: NotNegative
-    predictive_sd: NotNegative | None = None
-    discrepancy: Discrepancy | None = None
-    verdict: str
-    says: str
+    def _concluded(self) -> Reported:
+        if self.model_error_interval is None or self.model_error_sd is None:
+            return self.conclude(self.middle, self.interval, self.sd)
+        return self.conclude(self.middle, self.model_error_interval, self.model_error_sd)
+
+    def conclude(self, value: float, interval: Sequence[float], sd: float) -> Reported:
+        """Report a number with the status that the row gives it."""
+        own_prior = bool(self.given_by) or (bool(self.prior) and not self.prior_default)
+        bound, status = None, KNOWN_BY[self.verdict]
+        if self.at_bound is not None and (self.verdict == "data" or self.informed):
+            bound = interval[1] if self.at_bound == "lower" else interval[0]
+        if not self.converged:
+            bound, status = None, "unidentified"
+        elif self.doubtful:
+            status = "doubtful"
+        elif bound is not None:
+            status = "limit"
+        elif self.verdict == "prior" and own_prior:
+            status = "prior"
+        at_most = None if bound is None else self.at_bound == "lower"
+        return Reported(
+            value=value, sd=sd, interval=[*interval], status=status, bound=bound, at_most=at_most
+        )
 
     @property
-    def fine(self) -> bool:
-        """Whether there is nothing to warn of."""
-        return self.verdict in ("covered", "undecided")
+    def middle(self) -> float:
+        """The median, or where there is none the mean."""
+        return self.mean if self.median is None else self.median
+
+    @property
+    def value(self) -> float:
+        """The one to print."""
+        return self.reported.value
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether what the data say of it is doubted; of what they leave open they say nothing."""
+        return bool(self.doubted) and self.verdict != "prior"
+
+    @property
+    def informed(self) -> bool:
+        """Whether the data, with the priors on a scale if need be, say how far its bound is."""
+        known = self.data_sd is not None and self.data_sd < WIDE * (self.prior_sd or math.inf)
+        return known or bool(self.given_by)
+
+    @property
+    def held(self) -> bool:
+        """Whether the data push it against its bound; a prior alone leans on bounds too."""
+        return self.at_bound is not None and (self.verdict != "prior" or self.informed)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What to know of it besides its verdict.
+
+        Zero is of an angle a place like any other; what cannot be negative leans on that bound.
+        """
+        remarks = []
+        if self.at_bound:
+            end = {"lower": "down to the least", "upper": "up to the most"}[self.at_bound]
+            remarks.append(f"reaches {end} that it may be")
+        elif self.period is None and self.reported.low <= 0.0 <= self.reported.high:
+            remarks.append("could be zero")
+        if self.undefined_share:
+            remarks.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
+        return remarks
 
 
-class Validation(Part):
-    """What was predicted and not fitted."""
-
-    predictive: str = ""
-    quantity: str = "output"
-    unit: str
-    parts: dict[Name, HeldOut]
-    pooled: HeldOut
+def is_skewed(middle: float, low: float, high: float, *, least: float = 0.2) -> bool:
+    """Whether one sd would misname an interval's sides, which differ by a share ``least``."""
+    down, up = middle - low, high - middle
+    return abs(up - down) > least * (up + down)
 
 
-class Message(Open):
+def sd_towards(other: float, middle: float, interval: Sequence[float], sd: float) -> float:
+    """Give the sd that counts on the side of another value: a skewed number has one a side."""
+    low, high = interval
+    if not is_skewed(middle, low, high):
+        return sd
+    return abs((high if other > middle else low) - middle) / HALF
+
+
+AnyRow = TypeVar("AnyRow", PosteriorRow, ValueRow)
+
+
+def first_angles(tables: Iterable[Mapping[str, PosteriorRow]]) -> dict[str, float]:
+    """Give the first value of every angle, by name: :func:`unwrapped` puts others next to it."""
+    angles: dict[str, float] = {}
+    for table in tables:
+        for name, row in table.items():
+            if row.period is not None:
+                angles.setdefault(name, row.middle)
+    return angles
+
+
+def unwrapped(row: AnyRow, other: float | None) -> AnyRow:
+    """Move all numbers of an angle by whole turns next to another value, if any: 3.13 to -3.13."""
+    middle = row.middle if isinstance(row, PosteriorRow) else row.value
+    by = 0.0 if other is None else float(turned(middle, other) - middle)
+    return type(row).model_validate(_moved(row.model_dump(), by)) if by else row
+
+
+def _moved(row: dict[str, Any], by: float) -> dict[str, Any]:
+    places = {"mean", "median", "value", "bound", "interval", "model_error_interval", "span"}
+    moved = dict(row)
+    for key, x in row.items():
+        if key in places and x is not None:
+            moved[key] = [end + by for end in x] if isinstance(x, list) else x + by
+        elif key == "reported":
+            moved[key] = _moved(x, by)
+    return moved
+
+
+def of_noise(name: str) -> bool:
+    """Whether a parameter is one of the noise."""
+    return name.partition(".")[0] == "noise"
+
+
+# -- messages
+
+
+class Message(Part):
     """What to know before using a number; further keys fill the words of its kind."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
     kind: str
     severity: Literal["note", "doubt"] = "doubt"
-    parameters: list[str] = Field(default_factory=list)  # which it makes doubtful
+    parameters: list[str] = []  # which it makes doubtful
     remark: str = ""  # its text, where that is not made of the kind's words
 
     @property
@@ -211,7 +303,7 @@ class Message(Open):
 
 
 class FindingRow(Message):
-    """What may be missing, as :class:`bayesfric.diagnostics.finding.Finding` has it."""
+    """What may be missing, as :class:`bayesfric.diagnostics.explanation.Finding` has it."""
 
     severity: Literal["note", "doubt"]
     p: Share
@@ -219,8 +311,8 @@ class FindingRow(Message):
     statistic: FiniteFloat
     shape: str = ""
     share: NotNegative = 0.0
-    rivals: list[str] = Field(default_factory=list)
-    moves: dict[Name, FiniteFloat] = Field(default_factory=dict)
+    rivals: list[str] = []
+    moves: dict[Name, FiniteFloat] = {}
     physical: bool = True
     recording: str = ""
     span: Pair | None = None
@@ -228,6 +320,175 @@ class FindingRow(Message):
     def message(self, kind: str, **changes: Any) -> dict[str, Any]:
         """Give a message of another kind about this finding."""
         return self.model_dump(exclude={"remark"}) | {"kind": kind, "what": self.kind} | changes
+
+
+# -- estimates, noise and likelihood
+
+
+class EstimateTable(Part):
+    """A point estimate."""
+
+    parameters: dict[Name, ValueRow]
+    converged: bool = True
+    point: dict[Name, FiniteFloat] = {}
+    residual_rms: NotNegative | None = None
+    residual_unit: str = ""
+    outputs: int | None = None
+    assumption: str = ""
+    notes: list[str] = []
+
+
+class Likelihood(Part):
+    """What the posterior compares with the recording, and how."""
+
+    method: Literal["input-error", "output-error"] = "input-error"
+    linearisation: FiniteFloat | None = None
+
+
+class NullDirection(Part):
+    """Parameters that change together without changing any predicted torque."""
+
+    parameters: dict[Name, FiniteFloat] = {}
+    meaning: str
+
+
+class Identifiability(Part):
+    """What no recording of this kind can determine."""
+
+    null_directions: list[NullDirection] = []
+    directions: list[OpenDirection] = []
+
+
+class Whiteness(Part):
+    """Whether what the noise model does not predict passes as white."""
+
+    test: str = ""
+    p_value: FiniteFloat | None = None
+    white: bool
+
+
+class Noise(Part):
+    """The noise model, and the evidence for it."""
+
+    model: str = "white"
+    parameters: list[str] = []
+    order: int | None = None
+    accounts_for_correlation: bool | None = None
+    residual_lag1: FiniteFloat | None = None
+    innovation_lag1: FiniteFloat | None = None
+    innovation_whiteness: Whiteness | None = None
+    autoregression: dict[Name, list[FiniteFloat]] = {}
+    order_chosen_from: list[dict[str, Any]] = []  # evidence for each order
+    # partial autocorrelations that priors are around, and how far from these they reach
+    memory: list[FiniteFloat] = []
+    room: NotNegative = 0.0
+
+
+class RecordingRow(Part):
+    """How one recording was processed, and what is left of it; it keeps further keys."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
+
+    residual_rms: NotNegative | None = None
+    residual_lag1: FiniteFloat | None = None
+    outputs: int | None = None
+    sampling_rate: FiniteFloat | None = None
+    lowpass: FiniteFloat | None = None
+    band: FiniteFloat | None = None
+    decimate: int | None = None
+    n_samples: int | None = None
+    n_segments: int | None = None
+    dropped_trim: int | None = None
+    dropped_excluded: int | None = None
+    dropped_dead_zone: int | None = None
+
+
+class Residual(Part):
+    """What the posterior leaves unexplained, recording by recording."""
+
+    residual_rms: NotNegative | None = None
+    explained: Annotated[FiniteFloat, Field(le=1.0)] | None = None
+    unit: str = ""
+    quantity: str = "output"
+    # N m/A or N/A, where all that is explained was measured as a current
+    torque_constant: FiniteFloat | None = None
+    back_emf: SpeedTerm | None = None  # where a torque comes from a voltage
+    rests: list[StictionViolation] = []  # standstills that were not used
+    recordings: dict[Name, RecordingRow] = {}
+
+
+class Sampler(Part):
+    """How the posterior was sampled, and whether it can be relied on."""
+
+    status: str = "reliable"
+    problems: list[str] = []
+    draws: int | None = None
+    walkers: int | None = None
+    ensembles: int | None = None
+    warmup: int | None = None
+    steps: int | None = None
+    thin: int | None = None
+    tau: FiniteFloat | None = None
+    min_ess: FiniteFloat | None = None
+    max_rhat: FiniteFloat | None = None
+    acceptance: FiniteFloat | None = None
+    stuck_walkers: int | None = None
+    not_finite: int | None = None
+    not_finite_share: FiniteFloat | None = None
+    seconds: FiniteFloat | None = None
+    seed: int | None = None
+
+
+# -- checks of the posterior
+
+
+class Coverage(Part):
+    """How much of what was held out lies in a predictive interval."""
+
+    share: FiniteFloat
+    standard_error: NotNegative
+    effective_outputs: FiniteFloat | None = None
+
+    @property
+    def text(self) -> str:
+        """In per cent, with its error."""
+        return f"{100 * self.share:.1f} ± {100 * self.standard_error:.1f} %"
+
+
+class Discrepancy(Part):
+    """By how much outputs are off beyond what noise and posterior explain."""
+
+    value: FiniteFloat
+    interval: Pair
+    level: FiniteFloat = LEVEL
+
+
+class HeldOut(Part):
+    """How well one held-out part, or all of them, was predicted."""
+
+    held_out: str = "all together"
+    outputs: int
+    coverage: dict[str, Coverage]
+    residual_rms: NotNegative
+    predictive_sd: NotNegative | None = None
+    discrepancy: Discrepancy | None = None
+    verdict: str
+    says: str
+
+    @property
+    def fine(self) -> bool:
+        """Whether there is nothing to warn of."""
+        return self.verdict in ("covered", "undecided")
+
+
+class Validation(Part):
+    """What was predicted and not fitted."""
+
+    predictive: str = ""
+    quantity: str = "output"
+    unit: str
+    parts: dict[Name, HeldOut]
+    pooled: HeldOut
 
 
 class RegressionPart(Part):
@@ -254,7 +515,7 @@ class SelfCheck(Part):
     asked: int  # recordings to simulate
     made: int  # that could be simulated and fitted
     reason: Literal["likelihood", "rest", "sampling", "still", "few"] | None = None  # why no rows
-    rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
+    rows: dict[Name, SelfCheckRow] = {}
     # what filters, encoder and differentiation leave of the torque, as a share of the noise's
     # variance
     unexplained: NotNegative | None = None
@@ -297,30 +558,11 @@ class Friction(Part):
     unit: str  # N m, or N of a motor that slides
     speed_unit: str
     level: Share
-    parameters: list[str] = Field(default_factory=list)  # those sampled
+    parameters: list[str] = []  # those sampled
     rows: list[FrictionRow]
 
 
-class Sampler(Part):
-    """How the posterior was sampled, and whether it can be relied on."""
-
-    status: str = "reliable"
-    problems: list[str] = Field(default_factory=list)
-    draws: int | None = None
-    walkers: int | None = None
-    ensembles: int | None = None
-    warmup: int | None = None
-    steps: int | None = None
-    thin: int | None = None
-    tau: FiniteFloat | None = None
-    min_ess: FiniteFloat | None = None
-    max_rhat: FiniteFloat | None = None
-    acceptance: FiniteFloat | None = None
-    stuck_walkers: int | None = None
-    not_finite: int | None = None
-    not_finite_share: FiniteFloat | None = None
-    seconds: FiniteFloat | None = None
-    seed: int | None = None
+# -- the whole
 
 
 class Summary(Part):
@@ -328,24 +570,24 @@ class Summary(Part):
 
     bayesfric: str = ""
     parameters: dict[Name, PosteriorRow]
-    fixed: dict[Name, KnownRow] = Field(default_factory=dict)
-    derived: dict[Name, PosteriorRow] = Field(default_factory=dict)
-    estimates: dict[Method, EstimateTable] = Field(default_factory=dict)
-    references: dict[Name, ReferenceRow] = Field(default_factory=dict)
-    likelihood: Likelihood = Field(default_factory=Likelihood)
-    identifiability: Identifiability = Field(default_factory=Identifiability)
-    noise: Noise = Field(default_factory=Noise)
-    fit: Residual = Field(default_factory=Residual)
+    fixed: dict[Name, ValueRow] = {}
+    derived: dict[Name, PosteriorRow] = {}
+    estimates: dict[Method, EstimateTable] = {}
+    references: dict[Name, ValueRow] = {}
+    likelihood: Likelihood = Likelihood()
+    identifiability: Identifiability = Identifiability()
+    noise: Noise = Noise()
+    fit: Residual = Residual()
     validation: Validation | None = None
-    warnings: list[str] = Field(default_factory=list)
-    sampler: Sampler = Field(default_factory=Sampler)
+    warnings: list[str] = []
+    sampler: Sampler = Sampler()
     friction: Friction | None = None
     self_check: SelfCheck | None = None
     model_error: ModelError | None = None
     rollout: RollOutPart | None = None
-    doubts: list[Message] = Field(default_factory=list)
-    findings: list[FindingRow] = Field(default_factory=list)
-    taken: list[FindingRow] = Field(default_factory=list)  # by terms = "auto"
+    doubts: list[Message] = []
+    findings: list[FindingRow] = []
+    taken: list[FindingRow] = []  # by terms = "auto"
     regression: RegressionPart | None = None
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
@@ -379,15 +621,10 @@ class Summary(Part):
         return self.model_error is not None and self.model_error.shown
 
     @property
-    def scaled(self) -> bool:
-        """Whether the torque's own factor is a parameter."""
-        return GAIN in self.parameters or GAIN in self.fixed
-
-    @property
     def assumed_constant(self) -> str:
         """Say which torque constant was assumed, where torque is a current without a gain."""
         constant = self.fit.torque_constant
-        if constant is None or self.scaled:
+        if constant is None or GAIN in self.parameters or GAIN in self.fixed:
             return ""
         return line_of("constant", {"constant": constant, "unit": self.fit.unit})
 
@@ -405,19 +642,19 @@ class Summary(Part):
             return ""
         return clause("missing", self.findings[0].message("missing"))
 
-    @cached_property
+    @property
     def verdict(self) -> Verdict:
         """Verdict on the run."""
-        tested = self.regression
-        return verdict(
+        tested = self.regression if self.regression and not self.regression.reason else None
+        outcome = outcome_of(
             converged=not self.sampler.problems and self.sampler.status != "unusable",
             # a model that could not be checked is a separate outcome
-            doubts=sum(doubt.kind not in ("few", "still") for doubt in self.doubts),
-            doubtful=sum(r.doubtful for n, r in self.rows.items() if not of_noise(n)),
-            asked=None if tested is None or tested.reason else tested.asked,
-            explained=self.fit.explained,
+            doubted=any(doubt.kind not in ("few", "still") for doubt in self.doubts),
             lacking=self.widened and bool(self.findings),
+            tested=tested is not None,
         )
+        doubtful = sum(r.doubtful for n, r in self.rows.items() if not of_noise(n))
+        return Verdict(outcome, self.fit.explained, tested.asked if tested else 0, doubtful)
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:
@@ -432,13 +669,13 @@ class Summary(Part):
     @property
     def level(self) -> float:
         """Share of the posterior that its intervals hold."""
-        return next((row.level for row in self.rows.values()), 0.9)
+        return next((row.level for row in self.rows.values()), LEVEL)
 
-    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Summary:
+    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Self:
         """Change keys of rows, by name of parameter or derived quantity, and other parts."""
         tables = {
             group: {
-                name: row.model_copy(update=changes.get(name, {}))
+                name: row.changed(changes[name]) if name in changes else row
                 for name, row in getattr(self, group).items()
             }
             for group in ("parameters", "derived")
@@ -458,12 +695,12 @@ class Summary(Part):
         lines = []
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
-                line = {"name": name, "group": group} | dict(row)
-                if row.reported is not None:
-                    line |= dict(row.reported) | dict(row.reported.how)
-                    line["findings"] = ", ".join(row.reported.how.findings)
-                line |= row.printed._asdict() | {"posterior": row.middle, "posterior_sd": row.sd}
+                line = {"name": name, "group": group} | dict(row) | dict(row.reported)
+                line |= {"low": row.reported.low, "high": row.reported.high}
+                line["findings"] = ", ".join(row.doubted if row.doubtful else ())
+                line |= {"posterior": row.middle, "posterior_sd": row.sd}
                 line["posterior_low"], line["posterior_high"] = row.interval
+                line["widened"] = row.model_error_interval is not None
                 lines.append(line)
         return pd.DataFrame(lines, columns=[*_FRAME])
 
@@ -473,11 +710,6 @@ _FRAME = ("name", "value", "sd", "low", "high", "unit", "status", "findings", "b
     "posterior_high", "widened", "converged", "rhat", "ess", "prior", "prior_sd",
     "data_sd", "contraction", "undefined_share", "gauge_free")  # fmt: skip
 Readable = Summary | Mapping[str, Any]
-
-
-def of_noise(name: str) -> bool:
-    """Whether a parameter is one of the noise."""
-    return name.partition(".")[0] == "noise"
 
 
 def read_summary_file(run: Path) -> dict[str, Any]:
@@ -492,11 +724,11 @@ def read_summary_file(run: Path) -> dict[str, Any]:
             raise BadInput(str(run), "holds no summary.json", hint)
     except OSError as error:  # of its name
         raise BadInput(str(run), f"cannot be read ({error.strerror})", hint) from None
-    document = read_json(file, again, largest=_LARGEST)
+    document = read_json(file, again)
     if not isinstance(document, dict):
         raise BadInput(str(file), "holds no table of results", again)
-    version = re.match(r"(\d{1,4})\.(\d{1,4})", str(document.get("bayesfric")))
-    if version and tuple(map(int, version.groups())) < _OLDEST:
+    # runs of 0.1 hold other numbers
+    if version := re.match(r"0\.[01]\b", str(document.get("bayesfric"))):
         what = f"is a run of bayesfric {version[0]}, which this version cannot read"
         raise BadInput(str(run), what, "fit it again")
     return document

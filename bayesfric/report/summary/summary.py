@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bayesfric.base import __version__
-from bayesfric.estimates.information import lag_one
+from bayesfric.base.atomic_write import jsonable
+from bayesfric.estimates.autoregression import PASSES, lag_one, ljung_box, predictors
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driving_shares
-from bayesfric.identifiability.local import LocalInformation, given_by, local_information, verdict
+from bayesfric.identifiability.local import (
+    LocalInformation,
+    given_by,
+    local_information,
+    meaning_of,
+    verdict,
+)
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice
-from bayesfric.inference.noise import SCALES
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.noise import SCALES, NoiseChoice
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.priors import Prior
-from bayesfric.mechanism.parameter import TURN
-from bayesfric.report.summary import noise as noise_part
-from bayesfric.report.summary.conclusions import bound_warning
+from bayesfric.mechanism.quantities import TURN, effort_words
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import (
-    LEVEL,
     Groups,
     derived_rows,
     described_as,
@@ -31,14 +35,24 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
+from bayesfric.report.summary.doubts import bound_warning
 from bayesfric.report.summary.parts import validation_record
-from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import EstimatedRow
+from bayesfric.report.summary.record import (
+    EstimateTable,
+    Identifiability,
+    Likelihood,
+    Noise,
+    NullDirection,
+    PosteriorRow,
+    RecordingRow,
+    Residual,
+    Sampler,
+    Summary,
+    ValueRow,
+    Whiteness,
+)
 from bayesfric.report.terminal import PrintedSummary
 from bayesfric.report.words import line_of
-
-# Share of the outputs in one way of driving below which its friction follows from the other way.
-_SELDOM = 0.1
 
 
 def summarise(
@@ -51,102 +65,110 @@ def summarise(
 
     ``references`` are as a configuration gives them, ``derived`` are computed where left out.
     """
-    posterior = fit.posterior
-    local = local_information(fit.target, posterior.median)
-    residual = fit.residuals
-    outputs = fit.target.likelihood.outputs
-    lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
-    document = {
-        "bayesfric": __version__,
-        "parameters": _parameters(fit, local),
-        "fixed": {
-            p.name: {**described_as(p), "value": float(value)}
+    local = local_information(fit.target, fit.posterior.median)
+    likelihood = Likelihood(
+        method=fit.target.likelihood.method,
+        linearisation=None if fit.linearisation is None else _number(fit.linearisation),
+    )
+    null = [NullDirection(parameters=n, meaning=meaning_of(n)) for n in local.null_directions]
+    parameters = _parameters(fit, local)
+    summary = PrintedSummary(
+        bayesfric=__version__,
+        parameters=parameters,
+        fixed={
+            p.name: ValueRow(**described_as(p), value=float(value))
             for p, value in zip(fit.chain.parameters, fit.chain_draws(1)[0], strict=True)
             if p.name not in fit.target.free
         },
-        "derived": derived_rows(fit, local, groups(fit) if derived is None else derived),
-        "estimates": {estimate.method: estimate_summary(estimate) for estimate in fit.estimates},
-        "references": dict(references or {}),
-        "likelihood": {
-            "method": fit.target.likelihood.method,
-            **({} if fit.linearisation is None else {"linearisation": _number(fit.linearisation)}),
-        },
-        "identifiability": {
-            "null_directions": [
-                {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
-            ],
-        },
-        "noise": noise_part.noise_record(fit, residual, choice),
-        "fit": {
-            "residual_rms": rms_of(np.concatenate(residual)),
-            **_explained(fit),
-            "torque_constant": _torque_constant(fit),
-            "unit": outputs[0].unit,
-            "quantity": outputs[0].quantity,
-            "recordings": {
-                o.name: {
+        derived=derived_rows(fit, local, groups(fit) if derived is None else derived),
+        estimates={estimate.method: estimate_table(estimate) for estimate in fit.estimates},
+        references={name: ValueRow(**values) for name, values in (references or {}).items()},
+        likelihood=likelihood,
+        identifiability=Identifiability(null_directions=null),
+        noise=_noise(fit, choice),
+        fit=_residual(fit),
+        validation=validation_record(fit) if fit.held_out else None,
+        sampler=_sampler(fit.posterior),
+        warnings=[text for text in _warnings(fit, parameters, likelihood) if text],
+    )
+    return _with_mirrored(summary, fit)
+
+
+def _warnings(
+    fit: Fit, parameters: Mapping[str, PosteriorRow], likelihood: Likelihood, linear: float = 1.0
+) -> Sequence[str]:
+    """Gather warnings; empty ones count for nothing.
+
+    A log-likelihood that linearising changes by ``linear`` moves an interval by about one standard
+    deviation.
+    """
+    unseen, change = fit.chain.unseen_inertia, likelihood.linearisation or 0.0
+    held_out = [part.held_out.observation for part in fit.held_out]
+    return [
+        *fit.posterior.diagnostics.warnings,
+        line_of("unseen-inertia", {"names": unseen}) if unseen else "",
+        *(bound_warning(name, row) for name, row in parameters.items() if row.converged),
+        line_of("linearised", {"change": change}) if change >= linear else "",
+        *(f"{o.name}: {text}" for o in (*fit.observations, *held_out) for text in o.warnings),
+    ]
+
+
+def _sampler(posterior: Posterior) -> Sampler:
+    d = posterior.diagnostics
+    same = ("status", "walkers", "ensembles", "warmup", "steps", "thin", "not_finite")
+    return Sampler(
+        **{key: getattr(d, key) for key in (*same, "not_finite_share")},
+        problems=list(d.problems),
+        draws=d.ensembles * d.walkers * d.steps,
+        tau=_number(d.tau.max()),
+        min_ess=_number(d.ess.min()),
+        max_rhat=_number(d.rhat.max()),
+        acceptance=_number(d.acceptance.mean()),
+        stuck_walkers=int((d.acceptance == 0.0).sum()),
+        seconds=round(d.seconds, 3),
+        seed=posterior.seed,
+    )
+
+
+def _residual(fit: Fit) -> Residual:
+    outputs, observations = fit.target.likelihood.outputs, fit.observations
+    of_torque = fit.target.likelihood.method != "output-error"
+    # each recording about its own mean: an offset explains nothing
+    total = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in observations)
+    left = sum(float(r @ r) for r in fit.residuals)
+    constants = {o.settings.get("torque_constant") for o in observations}
+    (constant,) = constants if len(constants) == 1 and of_torque else (None,)
+    return Residual(
+        residual_rms=rms_of(np.concatenate(fit.residuals)),
+        # any simulated position is near the measured one
+        explained=1.0 - left / total if of_torque and total > 0.0 else None,
+        torque_constant=None if constant is None else float(constant),
+        unit=outputs[0].unit,
+        quantity=outputs[0].quantity,
+        recordings={
+            o.name: RecordingRow.read(
+                {
                     "residual_rms": rms_of(r),
-                    "residual_lag1": _number(lag),
+                    "residual_lag1": _number(lag_one(r, o.follows)),
                     "outputs": int(o.measured.size),
                     **observation.settings,
                 }
-                for o, observation, r, lag in zip(
-                    outputs, fit.observations, residual, lags, strict=True
-                )
-            },
+            )
+            for o, observation, r in zip(outputs, observations, fit.residuals, strict=True)
         },
-        **({"validation": validation_record(fit)} if fit.held_out else {}),
-        "sampler": _sampler(posterior),
-    }
-    summary = _with_mirrored(PrintedSummary.model_validate(document), fit)
-    sound = {name: row for name, row in summary.parameters.items() if row.converged}
-    unseen = fit.chain.unseen_inertia
-    warnings = [
-        *posterior.diagnostics.warnings,
-        line_of("unseen-inertia", {"names": unseen}) if unseen else "",
-        *(bound_warning(name, row) for name, row in sound.items()),
-        noise_part.linearisation_warning(summary.likelihood),
-        *(
-            f"{o.name}: {text}"
-            for o in (*fit.observations, *(p.held_out.observation for p in fit.held_out))
-            for text in o.warnings
-        ),
-    ]
-    return summary.model_copy(update={"warnings": [text for text in warnings if text]})
+    )
 
 
-def _sampler(posterior: Posterior) -> dict[str, Any]:
-    d = posterior.diagnostics
-    same = ("status", "walkers", "ensembles", "warmup", "steps", "thin", "not_finite")
-    return {key: getattr(d, key) for key in (*same, "not_finite_share")} | {
-        "problems": list(d.problems),
-        "draws": d.ensembles * d.walkers * d.steps,
-        "tau": _number(d.tau.max()),
-        "min_ess": _number(d.ess.min()),
-        "max_rhat": _number(d.rhat.max()),
-        "acceptance": _number(d.acceptance.mean()),
-        "stuck_walkers": int((d.acceptance == 0.0).sum()),
-        "seconds": round(d.seconds, 3),
-        "seed": posterior.seed,
-    }
+def _with_mirrored(summary: Summary, fit: Fit, *, seldom: float = 0.1) -> Summary:
+    """Mark load-dependent friction of a way of driving that hardly occurred.
 
-
-def _torque_constant(fit: Fit) -> float | None:
-    """Give torque per current, N m/A or N/A, where torque is explained and all of it a current."""
-    if fit.target.likelihood.method == "output-error":
-        return None
-    constants = {o.settings.get("torque_constant") for o in fit.observations}
-    (constant,) = constants if len(constants) == 1 else (None,)
-    return None if constant is None else float(constant)
-
-
-def _with_mirrored(summary: Summary, fit: Fit) -> Summary:
-    """Mark load-dependent friction of a way of driving that hardly occurred."""
+    Below a share ``seldom`` of the outputs the friction of one way follows from the other.
+    """
     values = fit.target.chain_values(fit.posterior.median[None])
     changes: dict[str, dict[str, Any]] = {}
     for name, back in back_driving_shares(fit.chain, fit.observations, values).items():
         for side, share in (("back", float(back[0])), ("drive", 1.0 - float(back[0]))):
-            if f"{name}.load" in fit.chain.names and share < _SELDOM:
+            if f"{name}.load" in fit.chain.names and share < seldom:
                 for quantity in (f"{name}.alpha_{side}", f"{name}.efficiency_{side}"):
                     if (row := summary.derived.get(quantity)) is not None:
                         weak = {"verdict": "weak"} if row.verdict == "data" else {}
@@ -154,40 +176,33 @@ def _with_mirrored(summary: Summary, fit: Fit) -> Summary:
     return summary.with_rows(changes)
 
 
-def _explained(fit: Fit) -> dict[str, float]:
-    """Give the share of the measured torque's variance that the posterior mean explains."""
-    if fit.target.likelihood.method == "output-error":
-        return {}  # any simulated position is near the measured one
-    # each recording about its own mean: an offset explains nothing
-    total = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
-    left = sum(float(r @ r) for r in fit.residuals)
-    return {"explained": 1.0 - left / total} if total > 0.0 else {}
-
-
-def estimate_summary(estimate: Estimate) -> dict[str, Any]:
+def estimate_table(estimate: Estimate) -> EstimateTable:
     """Put a point estimate into the form of ``summary.json``."""
-    rows = {}
-    for v in estimate.values:
-        row = {key: getattr(v, key) for key in EstimatedRow.model_fields}
-        sds = {"sd": _number(v.sd), "sd_robust": _number(v.sd_robust)}
-        rows[v.name] = row | sds | {"span": list(v.span) if v.span else None}
-    return {
-        "parameters": rows,
-        "converged": estimate.converged,
-        "point": dict(estimate.point),
-        "residual_rms": estimate.residual_rms,
-        "residual_unit": estimate.residual_unit,
-        "outputs": estimate.n_outputs,
-        "assumption": estimate.assumption,
-        "notes": list(estimate.notes),
-    }
+    same = ("unit", "symbol", "meaning", "value", "kind", "gauge_free", "determined", "at_bound")
+    return EstimateTable(
+        parameters={
+            v.name: ValueRow(
+                **{key: getattr(v, key) for key in same},
+                sd=_number(v.sd),
+                sd_robust=_number(v.sd_robust),
+                span=list(v.span) if v.span else None,
+            )
+            for v in estimate.values
+        },
+        converged=estimate.converged,
+        point=dict(estimate.point),
+        residual_rms=estimate.residual_rms,
+        residual_unit=estimate.residual_unit,
+        outputs=estimate.n_outputs,
+        assumption=estimate.assumption,
+        notes=list(estimate.notes),
+    )
 
 
-def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
+def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
     d, flat = fit.posterior.diagnostics, fit.posterior.flat()
-    described = {p.name: described_as(p) for p in fit.chain.parameters}
+    described = {p.name: described_as(p) for p in fit.chain.parameters} | _noise_described(fit)
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
-    described |= noise_part.noise_described(fit)
     noise = fit.target.noise
     scales = dict(zip(noise.names, (SCALES[kind] for kind in noise.quantities), strict=True))
     possible |= {name: (scale.lower, scale.upper) for name, scale in scales.items()}
@@ -201,31 +216,83 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
         if judged["verdict"] == "prior" and j < len(local.names):
             gradient = np.eye(len(local.names))[j]
             judged |= weakly_given(given_by(local, fit.posterior.priors, gradient, sd, prior_sd, j))
-        rows[name] = {
+        rows[name] = PosteriorRow(
             **described[name],
             **spread(flat[:, j]),
-            "rhat": _number(d.rhat[j]),
-            "ess": _number(d.ess[j]),
-            "converged": bool(sound[j]),
-            "prior": prior.text,
-            "prior_default": prior.default,
-            "prior_sd": _number(prior_sd),
-            **_prior_interval(prior),
-            "contraction": _number(1.0 - (sd / prior_sd) ** 2),
-            "data_sd": _number(data_sd),
+            rhat=_number(d.rhat[j]),
+            ess=_number(d.ess[j]),
+            converged=bool(sound[j]),
+            prior=prior.text,
+            prior_default=prior.default,
+            prior_sd=_number(prior_sd),
+            contraction=_number(1.0 - (sd / prior_sd) ** 2),
+            data_sd=_number(data_sd),
             **judged,
             **leaning(flat[:, j], prior.limits, possible[name]),
-            **({"period": TURN} if prior.circular else {}),
-        }
+            period=TURN if prior.circular else None,
+        )
     return rows
-
-
-def _prior_interval(prior: Prior) -> dict[str, Any]:
-    ends = prior.interval(LEVEL)
-    # a whole turn has none: where it is cut means nothing
-    exists = np.isfinite(ends).all() and not prior.whole_turn
-    return {"prior_interval": list(ends)} if exists else {}
 
 
 def _number(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
+
+
+# -- noise
+
+
+def _noise_described(fit: Fit) -> dict[str, dict[str, Any]]:
+    """Give unit, symbol and meaning of every noise parameter, by name."""
+    noise, effort = fit.target.noise, "N m" if fit.chain.motor_motion == "rotary" else "N"
+    units = {"position": fit.target.likelihood.outputs[0].unit, "": ""}
+    meanings = {scale.name: scale.meaning for scale in fit.target.likelihood.noise.scales}
+    described = {}
+    for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True):
+        # one scale a recording, by its name
+        _, _, recording = name.removeprefix("noise.").partition(".")
+        meaning = effort_words(meanings[kind], fit.chain.motor_motion)
+        meaning += f", {recording}" if recording else ""
+        unit = units.get(SCALES[kind].unit, effort)
+        described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
+    return described
+
+
+def _noise(fit: Fit, choice: NoiseChoice | None, *, lags: int = 10) -> Noise:
+    """Describe the noise of a fit, with a test of so many ``lags`` of its innovations."""
+    likelihood = fit.target.likelihood
+    runs = [o.follows for o in likelihood.outputs]
+    noise = Noise(
+        model=effort_words(likelihood.noise.description, fit.chain.motor_motion),
+        parameters=list(fit.target.noise.names),
+        accounts_for_correlation=likelihood.noise.accounts_for_correlation,
+        residual_lag1=mean_lag(fit.residuals, runs),
+    )
+    if not isinstance(likelihood, TorqueLikelihood):
+        return noise
+    order = likelihood.noise.order
+    scales = fit.target.noise.scales(fit.posterior.median[None, len(fit.target.free) :])[0]
+    left = likelihood.innovations(fit.residuals, scales)
+    p = ljung_box(left, runs, lags + order, order)
+    test = f"Ljung-Box, {lags + order} lags, all recordings together"
+    update: dict[str, Any] = {
+        "order": order,
+        "innovation_lag1": mean_lag(left, runs),
+        "innovation_whiteness": Whiteness(test=test, p_value=p, white=bool(p >= PASSES)),
+    }
+    if order:
+        update["autoregression"] = {
+            o.name: predictors(s[None, 1:])[-1][0].tolist()
+            for o, s in zip(likelihood.outputs, scales, strict=True)
+        }
+    if choice is not None:
+        update["order_chosen_from"] = [jsonable(evidence) for evidence in choice.evidence]
+        update |= {"memory": [*choice.partial], "room": choice.half_range}
+    return noise.model_copy(update=update)
+
+
+def mean_lag(residuals: Sequence[Array], follows: Sequence[Flags]) -> float | None:
+    """Correlate each residual with the next, scaled by its recording's rms."""
+    scaled = [r / max(rms_of(r), 1e-300) for r in residuals]
+    # no pair reaches from one recording to the next
+    runs = [np.append(f, False)[: r.size] for r, f in zip(scaled, follows, strict=True)]
+    return _number(lag_one(np.concatenate(scaled), np.concatenate(runs)[:-1]))

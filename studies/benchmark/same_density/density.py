@@ -22,9 +22,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.moments.fast_moments import RADIUS
+from bayesfric.inference.moments.fast_moments import RADIUS, SignRegion, moment_matrices
 from bayesfric.inference.moments.linear_torque import linear_torque
-from bayesfric.inference.moments.moment_matrices import SignRegion, moment_matrices
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -69,9 +68,7 @@ class Reduced:
         region = SignRegion.around(linear.coefficients(values).leg, linear.typical_size())
         assert region is not None
         moments = moment_matrices(linear, signals, 0, region, RADIUS)
-        k = moments.to_columns.shape[0]
-        (form, *_), signs, jumps, weights = *moments.arrays[:3], moments.arrays[5]
-        slopes = moments.arrays[6].reshape(moments.ratios.size, -1, moments.padded)
+        form, weights = moments.forms[0], moments.weights[:, 0]
         index = {name: i for i, name in enumerate(target.free)}
         # without load-dependent friction, -c is front plus behind, and leg is behind
         units = linear.coefficients(np.eye(len(index)) * (1.0 - _losses(index)))
@@ -100,12 +97,12 @@ class Reduced:
             centre=np.linalg.solve(region.root, region.centre),
             whiten=np.linalg.inv(region.root),
             to_columns=moments.to_columns,
-            matrix=0.5 * (form[:, :k] + form[:, :k].T),  # each product occurs once
+            matrix=0.5 * (form + form.T),  # each product occurs once
             ratios=moments.ratios,
-            signs=np.ascontiguousarray(signs.T),
-            jumps=jumps[:, 0],
-            weights=weights[:, 0] ** 2,
-            slopes=np.ascontiguousarray(slopes[:, 0, :k]),
+            signs=np.ascontiguousarray(moments.signs.T),
+            jumps=moments.jumps[:, 0],
+            weights=weights**2,
+            slopes=2.0 * weights[:, None] * moments.rows[moments.first],
             samples=signals.measured.size,
         )
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Literal
+from typing import Any, Literal, TypeGuard
 
 import numpy as np
 from scipy import stats
@@ -18,8 +18,7 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TypicalSizes, sizes_at
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import TURN, Parameter, turned
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.quantities import TURN, Parameter, State, turned
 from bayesfric.recordings.arrays import Array
 
 # 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}
@@ -27,8 +26,6 @@ PriorText = float | Sequence[float] | Mapping[str, Any]
 
 # Tolerance, rad, within which a range is a whole turn: pi is rarely typed with all digits.
 _TURN_TYPED = 0.02
-# Probability inside the parameter's support below which a prior is refused.
-_LEAST_MASS = 1e-6
 # Relative standard deviation up to which a prior states a known value.
 KNOWN = 0.2
 
@@ -37,15 +34,11 @@ DISTRIBUTIONS = (
     "norm", "halfnorm", "lognorm", "loguniform", "uniform", "expon", "triang", "truncnorm", "t",
     "cauchy", "halfcauchy", "laplace", "logistic", "gamma", "invgamma", "beta", "weibull_min",
 )  # fmt: skip
-# Distributions without a central value.
-_RANGES = frozenset({"uniform", "loguniform", "halfnorm"})
-# The largest number in a prior; its square is finite.
-_LARGEST = 1e100
 
-Side = Literal["lower", "upper"]
+_gauss_legendre = cache(np.polynomial.legendre.leggauss)
 
 
-def bound_of(x: Array, low: float, high: float) -> Side | None:
+def bound_of(x: Array, low: float, high: float) -> Literal["lower", "upper"] | None:
     """Return the bound that a sample ``(n,)`` is close to."""
     first, last = np.quantile(x, [0.05, 0.95])
     near = 0.2 * x.std()
@@ -93,7 +86,7 @@ class Prior:
         if not self.whole_turn:
             return self
         low = value - TURN / 2.0
-        turn = stats.uniform(low, TURN)
+        turn = stats.uniform(loc=low, scale=TURN)
         return replace(self, distribution=turn, lower=low, upper=low + TURN, mass=1.0)
 
     def turned(self, x: Array) -> Array:
@@ -127,30 +120,25 @@ class Prior:
         values = self.distribution.ppf(low + (high - low) * shares)
         return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
 
-    def sd(self) -> float:
-        """Return the standard deviation, 0 if fixed; infinite or nan if undefined."""
-        if self.fixed or self.mass > 1.0 - 1e-12:
-            return 0.0 if self.fixed else float(self.distribution.std())
-        y, weights = self._nodes()
-        return float(np.sqrt(weights @ (y - weights @ y) ** 2))
-
     def mean(self) -> float:
         """Return the mean, or the fixed value."""
-        if self.fixed or self.mass > 1.0 - 1e-12:
-            return self.value if self.fixed else float(self.distribution.mean())
-        x, weights = self._nodes()
-        return float(weights @ x)
+        return self._moments()[0]
 
-    def _nodes(self) -> tuple[Array, Array]:
-        """Nodes and weights of a quadrature in probability, inside the support."""
-        low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
-        nodes, weights = _gauss()
-        return self.distribution.ppf(low + (high - low) * (nodes + 1.0) / 2.0), weights / 2.0
+    def sd(self) -> float:
+        """Return the standard deviation, 0 if fixed; infinite or nan if undefined."""
+        return self._moments()[1]
 
-
-@cache
-def _gauss() -> tuple[Array, Array]:
-    return np.polynomial.legendre.leggauss(200)
+    def _moments(self) -> tuple[float, float]:
+        if self.fixed:
+            return self.value, 0.0
+        if self.mass > 1.0 - 1e-12:
+            with np.errstate(all="ignore"):  # inf - inf, such as of a half-Cauchy
+                return float(self.distribution.mean()), float(self.distribution.std())
+        # by a quadrature in probability, inside the support
+        nodes, weights = _gauss_legendre(200)
+        x, weights = self._quantiles((nodes + 1.0) / 2.0), weights / 2.0
+        mean = float(weights @ x)
+        return mean, float(np.sqrt(weights @ (x - mean) ** 2))
 
 
 def fixed(value: float) -> Prior:
@@ -167,50 +155,51 @@ def read_prior(
     default: bool = False,
     circular: bool = False,
 ) -> Prior:
-    """Read the configured prior of one parameter."""
-    where = f"priors.{name}"
-    span = f"{name} {_span(lower, upper)}"
-    if isinstance(text, bool):
-        raise BadInput(where, "true/false is not a prior", "give a number, [low, high] or a table")
-    if isinstance(text, int | float):
-        value = _finite(text)
-        if value is None or not lower <= value <= upper:
-            raise BadInput(where, f"{_number(text)} is not possible", span)
-        return fixed(value)
+    """Read the configured prior of one parameter, whose support is from ``lower`` to ``upper``."""
+    where, span = f"priors.{name}", f"{name} is any finite number"
+    if math.isfinite(upper):
+        span = f"{name} lies between {lower:.6g} and {upper:.6g}"
+    elif math.isfinite(lower):
+        span = f"{name} is {lower:g} or more"
     if isinstance(text, Mapping):
-        prior = _named(where, text, lower, upper, span, circular)
+        prior = _distribution(where, text, lower, upper, span, circular)
+    elif _is_finite(text):
+        if not lower <= text <= upper:
+            raise BadInput(where, f"{text:g} is not possible", span)
+        prior = fixed(text)
+    elif isinstance(text, Sequence) and len(text) == 2 and all(map(_is_finite, text)):
+        prior = _range(where, float(text[0]), float(text[1]), lower, upper, span, circular)
     else:
-        prior = _range(where, text, lower, upper, span, circular)
+        hint = "give a finite number, [low, high] or a table"
+        raise BadInput(where, f"{str(text).lower()[:80]} is not a prior", hint)
     return replace(prior, default=default, circular=circular)
 
 
+def _is_finite(value: Any) -> TypeGuard[float]:
+    """Whether it is a number whose square is finite."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) <= 1e100
+
+
 def _range(
-    where: str, text: Sequence[float], lower: float, upper: float, span: str, circular: bool
+    where: str, low: float, high: float, lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
     """Read a uniform prior ``[low, high]``."""
-    pair: object = text
-    if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
-        raise BadInput(where, f"{text!r} is not a prior", "give a number, [low, high] or a table")
-    low, high = _finite(text[0]), _finite(text[1])
-    if low is None or high is None:
-        shown = f"[{_number(text[0])}, {_number(text[1])}]"
-        raise BadInput(where, f"{shown} is not finite", "give two finite numbers")
+    shown = f"[{low:g}, {high:g}]"
     if not low < high:
-        raise BadInput(
-            where, f"[{low:g}, {high:g}] is not increasing", "put the smaller number first"
-        )
+        raise BadInput(where, f"{shown} is not increasing", "put the smaller number first")
     if low < lower or high > upper:
-        raise BadInput(where, f"[{low:g}, {high:g}] exceeds the possible range", span)
+        raise BadInput(where, f"{shown} exceeds the possible range", span)
     if circular and high - low > TURN + _TURN_TYPED:
-        mend = f"give one turn at most, such as [{low:g}, {low + TURN:.6g}]"
-        raise BadInput(where, f"[{low:g}, {high:g}] is more than one turn", mend)
+        hint = f"give one turn at most, such as [{low:g}, {low + TURN:.6g}]"
+        raise BadInput(where, f"{shown} is more than one turn", hint)
     if circular and high - low > TURN - _TURN_TYPED:
         high = low + TURN
-    shown = f"uniform({low:.6g}, {high:.6g})"
-    return Prior(shown, stats.uniform(low, high - low), math.nan, low, high)
+    distribution = stats.uniform(loc=low, scale=high - low)
+    return Prior(f"uniform({low:.6g}, {high:.6g})", distribution, math.nan, low, high)
 
 
-def _named(
+def _distribution(
     where: str, text: Mapping[str, Any], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
     """Read a distribution of :mod:`scipy.stats` and truncate it to the support."""
@@ -219,53 +208,30 @@ def _named(
     if kind not in DISTRIBUTIONS:
         hint = f"use one of {', '.join(DISTRIBUTIONS)}"
         raise BadInput(where, f"there is no distribution {kind!r}", hint)
-    family = getattr(stats, kind)
-    shapes = [name.strip() for name in (family.shapes or "").split(",") if name.strip()]
+    family, reference = getattr(stats, kind), f"see scipy.stats.{kind} for its arguments"
+    shapes = family.shapes.split(", ") if family.shapes else []
     for key, value in arguments.items():
         if key not in (known := [*shapes, "loc", "scale"]):
             raise BadInput(where, f"{kind} takes no {key!r}", nearest(key, known))
-        if _finite(value) is None:
-            raise BadInput(f"{where}.{key}", f"got {_number(value)}", "give a finite number")
+        if not _is_finite(value):
+            raise BadInput(f"{where}.{key}", f"got {str(value).lower()}", "give a finite number")
     if missing := [name for name in shapes if name not in arguments]:
         raise BadInput(where, f"{kind} needs {missing[0]!r}", f"add {missing[0]} = ...")
-    shown = ", ".join(f"{key}={_number(value)}" for key, value in arguments.items())
-    try:
-        with np.errstate(all="ignore"):
-            frozen = family(**{key: float(value) for key, value in arguments.items()})
-            low, high = frozen.support()
-            if circular:
-                lower, upper = frozen.median() - TURN / 2.0, frozen.median() + TURN / 2.0
-            mass = float(frozen.cdf(upper) - frozen.cdf(lower))
-            spread = float(frozen.ppf(0.75) - frozen.ppf(0.25))
-    except (TypeError, ValueError, ArithmeticError) as error:
-        raise BadInput(where, str(error), f"see scipy.stats.{kind} for its arguments") from None
-    if not (math.isfinite(mass) and math.isfinite(spread) and spread > 0.0):
-        raise BadInput(where, f"there is no {kind}({shown})", f"see scipy.stats.{kind}")
-    if mass < _LEAST_MASS:
-        raise BadInput(where, f"{kind}({shown}) is outside the possible range", span)
+    shown = f"{kind}({', '.join(f'{key}={value:.6g}' for key, value in arguments.items())})"
+    with np.errstate(all="ignore"):
+        frozen = family(**{key: float(value) for key, value in arguments.items()})
+        low, high = frozen.support()
+        if circular:
+            lower, upper = frozen.median() - TURN / 2.0, frozen.median() + TURN / 2.0
+        mass = float(frozen.cdf(upper) - frozen.cdf(lower))
+        quartiles = float(frozen.ppf(0.75) - frozen.ppf(0.25))
+    if not (math.isfinite(mass) and math.isfinite(quartiles) and quartiles > 0.0):
+        raise BadInput(where, f"there is no {shown}", reference)
+    if mass < 1e-6:
+        raise BadInput(where, f"{shown} is outside the possible range", span)
     low, high = max(float(low), lower), min(float(high), upper)
     cut = "" if mass > 1.0 - 1e-9 else f" cut to [{low:g}, {high:g}]"
-    return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass)
-
-
-def _finite(value: Any) -> float | None:
-    """Return a finite number whose square is finite, else ``None``."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    return float(value) if abs(value) <= _LARGEST else None
-
-
-def _number(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    shown = f"{value:.6g}" if isinstance(value, float) else repr(value)
-    return shown if len(shown) <= 40 else f"{shown[:40]}..."
-
-
-def _span(lower: float, upper: float) -> str:
-    if math.isfinite(upper):
-        return f"lies between {lower:.6g} and {upper:.6g}"
-    return f"is {lower:g} or more" if math.isfinite(lower) else "is any finite number"
+    return Prior(shown + cut, frozen, math.nan, low, high, mass)
 
 
 class JointPrior:
@@ -286,7 +252,8 @@ class JointPrior:
             if family not in ("norm", "halfnorm", "uniform"):
                 self._others.append((j, prior))
                 continue
-            loc, scale = _loc_scale(*prior.distribution.args, **prior.distribution.kwds)
+            arguments = prior.distribution.kwds
+            loc, scale = arguments.get("loc", 0.0), arguments.get("scale", 1.0)
             self._constant -= math.log(scale) + math.log(prior.mass)
             if family != "uniform":
                 self._loc[j], self._scale[j] = loc, scale
@@ -303,11 +270,6 @@ class JointPrior:
         return np.asarray(total)
 
 
-def _loc_scale(loc: float = 0.0, scale: float = 1.0) -> tuple[float, float]:
-    """Return the arguments of a SciPy distribution without shape parameters."""
-    return loc, scale
-
-
 def default_prior(chain: Joint, p: Parameter, scales: TypicalSizes) -> Prior:
     """Choose the default prior of one parameter, weakly informative.
 
@@ -317,22 +279,13 @@ def default_prior(chain: Joint, p: Parameter, scales: TypicalSizes) -> Prior:
     exchange it without the motor, as gravity and inertia of a pendulum: theirs is at least the
     torque that least squares assigns to one with certainty. Sizes are rounded to one digit.
     """
-    text = _text(chain, p, scales)
-    upper = min(p.upper, p.row.prior_upper)
-    return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
-
-
-def _text(chain: Joint, p: Parameter, scales: TypicalSizes) -> PriorText:
-    """Return the default prior of a quantity's row, scaled to its element's shaft."""
     row = p.row
-    if row.prior == "uniform":
-        return [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
     if row.stores:
         scales = replace(scales, torque=max(scales.torque, scales.exchanged))
-    sizes = sizes_at(chain, p.owner, scales)
+    sizes, scale = sizes_at(chain, p.owner, scales), 1.0
     if row.spread is not None:
         scale = row.spread(sizes)
-    elif row.role == "own" and (row.column is not None or row.signal):
+    elif row.prior != "uniform":
         if row.column is None or row.power is None:
             size = scales.columns[p.name]
         else:  # some losses act in one direction only
@@ -341,12 +294,16 @@ def _text(chain: Joint, p: Parameter, scales: TypicalSizes) -> PriorText:
             ]
             size = max(abs(row.column(state)) for state in states)
         scale = sizes.torque / size if size > 0.0 else sizes.torque
+    text: PriorText
+    if row.prior == "uniform":
+        text = [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
+    elif row.prior == "lognorm":
+        text = {"distribution": "lognorm", "s": scale}
     else:
-        raise KeyError(f"{p.name}: the table gives {p.quantity!r} no default prior")
-    if row.prior == "lognorm":
-        return {"distribution": "lognorm", "s": scale}
-    family = row.prior or ("halfnorm" if p.lower == 0.0 else "norm")
-    return {"distribution": family, "scale": float(f"{scale:.0e}")}
+        family = row.prior or ("halfnorm" if p.lower == 0.0 else "norm")
+        text = {"distribution": family, "scale": float(f"{scale:.0e}")}
+    upper = min(p.upper, row.prior_upper)
+    return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
 
 
 def as_knowledge(chain: Joint, priors: Mapping[str, Prior]) -> Knowledge:
@@ -362,7 +319,8 @@ def as_knowledge(chain: Joint, priors: Mapping[str, Prior]) -> Knowledge:
             fixed[name] = prior.value
             continue
         bounds[name] = prior.limits
-        if prior.default or prior.distribution.dist.name in _RANGES:
+        # uniform and half-normal distributions have no central value
+        if prior.default or prior.distribution.dist.name in ("uniform", "loguniform", "halfnorm"):
             continue
         mean, sd = prior.mean(), prior.sd()
         if np.isfinite(mean) and np.isfinite(sd) and sd > 0.0:

@@ -1,4 +1,4 @@
-"""Stationary autoregressive series: coefficients, exact density, whitening, simulation, with gaps.
+"""Autocorrelated series with gaps: autoregression, whiteness test and long-run variance.
 
 A series of order p is parametrised by its partial autocorrelations in (-1, 1): each such vector is
 stationary, and each stationary series has one (Barndorff-Nielsen and Schou, Journal of Multivariate
@@ -9,17 +9,41 @@ the exact density of the beginning of a run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 from scipy import stats
+from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.observation import Observation
 
 # p-value of the Ljung-Box test from which a series passes as white.
 PASSES = 0.05
+# Least correlation of neighbouring residuals that counts.
+CORRELATED = 0.2
+
+
+def follows(o: Observation) -> Flags:
+    """Flag outputs ``(M - 1,)`` that are followed one period later in the same segment."""
+    step = np.diff(o.filter.starts)
+    return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
+
+
+def runs(follows: Flags) -> tuple[Index, Index]:
+    """Return first index and length of each run of outputs one period apart."""
+    begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
+    return begins, np.diff(np.append(begins, follows.size + 1))
+
+
+def ages(follows: Flags, most: int) -> Index:
+    """Count the predecessors ``(M,)`` of each value in its run, up to ``most``."""
+    begins, length = runs(follows)
+    age = np.arange(follows.size + 1) - np.repeat(begins, length)
+    return np.asarray(np.minimum(age, most))
 
 
 def predictors(partial: Array) -> list[Array]:
@@ -77,17 +101,74 @@ def whitened(x: Array, partial: Array, follows: Flags) -> Array:
     return np.asarray(out / sds[age])
 
 
-def runs(follows: Flags) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first index and length of each run."""
-    begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
-    return begins, np.diff(np.append(begins, follows.size + 1))
+def across_gaps(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]:
+    """Return a function that whitens rows ``(n, m)`` at whole steps ``(n,)``, across gaps.
+
+    It returns the log determinant, too. :func:`whitened` restarts at every gap; slow noise would
+    then look like a drift (Jones, Technometrics 22 (1980) 389-395).
+    """
+    if not partial.size:
+        return lambda x, _: (x, 0.0)
+    phi = np.ascontiguousarray(predictors(partial[None])[-1][0])
+    stationary = toeplitz(autocovariance(partial)[:-1])
+    return lambda x, at: _innovations(np.ascontiguousarray(x), at, phi, stationary)
 
 
-def ages(follows: Flags, most: int) -> NDArray[np.int64]:
-    """Count the predecessors ``(M,)`` of each value in its run, up to ``most``."""
-    begins, length = runs(follows)
-    age = np.arange(follows.size + 1) - np.repeat(begins, length)
-    return np.asarray(np.minimum(age, most))
+@njit(cache=True, error_model="numpy")
+def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
+    """Return innovations ``(n, m)`` over their standard deviations, and their log determinant.
+
+    A Kalman filter of the last p values at whole steps ``at`` ``(n,)``; across gaps it predicts
+    only. After more than 300 steps it restarts.
+    """
+    n, m = x.shape
+    p = phi.size
+    out = np.empty((n, m))
+    state = np.zeros((p, m))
+    cov = stationary.copy()
+    u = np.empty(p)
+    logs = 0.0
+    for i in range(n):
+        if i:
+            gap = at[i] - at[i - 1]
+            if gap < 1 or gap > 300:
+                state[:] = 0.0
+                cov[:] = stationary
+            else:
+                for _ in range(gap):
+                    for j in range(m):
+                        first = 0.0
+                        for k in range(p - 1, -1, -1):
+                            first += phi[k] * state[k, j]
+                            state[k, j] = state[k - 1, j] if k else first
+                    for k in range(p):
+                        u[k] = 0.0
+                        for j in range(p):
+                            u[k] += cov[k, j] * phi[j]
+                    variance = 1.0
+                    for k in range(p):
+                        variance += phi[k] * u[k]
+                    for k in range(p - 1, 0, -1):
+                        for j in range(p - 1, 0, -1):
+                            cov[k, j] = cov[k - 1, j - 1]
+                    for k in range(1, p):
+                        cov[0, k] = u[k - 1]
+                        cov[k, 0] = u[k - 1]
+                    cov[0, 0] = variance
+        variance = cov[0, 0]
+        sd = math.sqrt(variance)
+        logs += math.log(variance)
+        for k in range(p):
+            u[k] = cov[k, 0] / variance
+        for j in range(m):
+            error = x[i, j] - state[0, j]
+            out[i, j] = error / sd
+            for k in range(p):
+                state[k, j] += u[k] * error
+        for k in range(p):
+            for j in range(p):
+                cov[k, j] -= u[k] * u[j] * variance
+    return out, logs
 
 
 def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) -> Array:
@@ -160,3 +241,41 @@ def ljung_box(
             # variance of a correlation from this many of the n products
             statistic += (product / power) ** 2 * n * (n + 2.0) / pairs
     return float(stats.chi2.sf(statistic, max(lags - fitted, 1)))
+
+
+def long_run_variance(score: Array, places: Index) -> float:
+    """Estimate the variance of the sum of a correlated series ``(n,)`` at places on an even grid.
+
+    Gaps count as zeros (Parzen 1963). Quadratic spectral kernel with the bandwidth of a first-order
+    autoregression: Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4.
+    """
+    grid = np.zeros(int(places[-1] - places[0]) + 1)
+    grid[places - places[0]] = score
+    size = 1 << int(2 * grid.size - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(grid, size)) ** 2
+    covariance = np.fft.irfft(spectrum, size)[: grid.size]
+    if not covariance[0] > 0.0:
+        return 0.0
+    present = np.zeros(grid.size)
+    present[places - places[0]] = 1.0
+    pairs = float(present[:-1] @ present[1:])
+    # correlation of neighbours, per pair
+    rho = covariance[1] / covariance[0] * score.size / max(pairs, 1.0) if grid.size > 1 else 0.0
+    rho = float(np.clip(rho, -0.97, 0.97))
+    alpha = 4.0 * rho**2 / (1.0 - rho) ** 4
+    bandwidth = max(1.3221 * (alpha * score.size) ** 0.2, 1e-9)
+    lags = np.arange(1, grid.size)
+    x = 6.0 * np.pi * lags / (5.0 * bandwidth)
+    near = x < 0.1
+    safe = np.where(near, 1.0, x)
+    kernel = np.where(near, 1.0 - x**2 / 10.0, 3.0 / safe**2 * (np.sin(safe) / safe - np.cos(safe)))
+    total = covariance[0] + 2.0 * float(kernel @ covariance[1:])
+    return max(float(total), 0.0)
+
+
+def lag_one(residual: Array, follows: Flags) -> float:
+    """Correlate residuals ``(M,)`` with their successors where these follow one step later."""
+    first, second, power = residual[:-1][follows], residual[1:][follows], np.mean(residual**2)
+    if first.size < 10 or power == 0.0:
+        return float("nan")
+    return float(np.mean(first * second) / power)

@@ -1,1 +1,0 @@
-"""What is believed before the recordings are looked at: read, chosen by default, evaluated."""

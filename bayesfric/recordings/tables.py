@@ -1,0 +1,231 @@
+"""A table: named columns of numbers, each with its unit, its own time stamps and NaN in holes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.recordings.arrays import Array, Index
+
+# possessive, so that it fails at the first wrong character
+_NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?")
+_ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
+_LISTS = (list, tuple, np.ndarray)
+
+
+def is_number(text: str, decimal: str = ".") -> bool:
+    """Whether text is a plain decimal number: ``-2.5e-3``; not ``nan``, ``0x1F``, ``1_0``."""
+    plain = text.strip().replace(".", "x").replace(decimal, ".") if decimal != "." else text.strip()
+    return _NUMBER.fullmatch(plain) is not None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of one file, or in memory.
+
+    ``load`` gives the raw cells of a column by its index from 0: (n,), or of k signals (n, k) or
+    (k, n), of which ``"name[3]"`` is the fourth. Cells may be objects.
+    """
+
+    where: str  # the file, for messages
+    names: Sequence[str]  # one a column, empty for one without
+    load: Callable[[int], NDArray[Any]]
+    units: Sequence[str] = ()  # one a column as in the file, empty for none
+    # names of the columns of time stamps, by the names of the columns that have stamps of their own
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    lines: Sequence[int] | None = None  # line of every row (n,) in a text file
+    header: str = ""  # place of the names in a text file, for messages
+    decimal: str = "."  # mark of cells that are text
+    notes: tuple[str, ...] = ()  # a sentence for every choice made in reading
+    by_rows: bool = False  # whether the first axis of an array is always that of the samples
+    rows: Index | None = None  # indices of the rows used; None for all
+    count: int | None = None  # rows in the file, where only some are used
+    _columns: dict[str | int, Array] = field(default_factory=dict, init=False)
+
+    def row(self, index: int) -> str:
+        """Name a row, given from 0, the way a user counts: ``"row 17 (line 31)"``."""
+        row = index if self.rows is None else int(self.rows[index])
+        return f"row {row + 1}" + ("" if self.lines is None else f" (line {self.lines[row]})")
+
+    def label(self, key: str | int) -> str:
+        """Return ``"file, column 'name'"`` for messages."""
+        return f"{self.where}, column {key!r}"
+
+    def place(self, key: str | int) -> tuple[int, int | None]:
+        """Return the index of a column, and of a signal in it, by name or number from 1."""
+        names = list(self.names)
+        if isinstance(key, int):
+            if 1 <= key <= len(names):
+                return key - 1, None
+            problem = f"does not exist, the file has {len(names)} columns"
+            raise BadInput(self.label(key), problem, f"give a number from 1 to {len(names)}")
+        part = _ONE_OF_SEVERAL.fullmatch(key)
+        name, signal = (part[1], int(part[2])) if part and key not in names else (key, None)
+        if not name or name not in names:
+            if known := list(filter(None, names)):
+                at = f" in {self.header}" if self.header else ""
+                raise BadInput(self.label(key), f"does not exist{at}", nearest(key, known))
+            hint = f"give a number from 1 to {len(names)}"
+            raise BadInput(self.label(key), "does not exist, the columns have no names", hint)
+        if names.count(name) > 1:
+            numbers = [number for number, other in enumerate(names, start=1) if other == name]
+            at = f"{self.where}, {self.header}" if self.header else self.where
+            problem = f"columns {' and '.join(map(str, numbers))} are all named {name!r}"
+            raise BadInput(at, problem, "give the column's number, or rename one of them")
+        return names.index(name), signal
+
+    def values(self, key: str | int) -> Array:
+        """Return a column ``(n,)`` by name or number from 1, NaN where a cell is no number."""
+        cells = self.cells(key)
+        if cells.ndim != 1:
+            shape = " x ".join(map(str, cells.shape)) or "one value"
+            hint = "give a vector of one value a sample"
+            if cells.ndim == 2:
+                hint = f"name one of its signals with an index from 0, such as '{key}[0]'"
+            raise BadInput(self.label(key), f"is no vector but {shape}", hint)
+        if cells.dtype.kind in "biuf":
+            with np.errstate(over="ignore"):  # a long double may become infinite
+                return cells.astype(np.float64, copy=False)
+        if cells.dtype.kind != "O":
+            problem = f"holds {cells.dtype.name}, not numbers"
+            raise BadInput(self.label(key), problem, "export it as numbers")
+        return np.array([_number(cell, self.decimal) for cell in cells], dtype=np.float64)
+
+    def column(self, key: str | int) -> Array:
+        """Return a column ``(n,)`` whose numbers must all be finite."""
+        if key not in self._columns:
+            values = self.values(key)
+            finite = np.isfinite(values)
+            if not finite.all():
+                row = int(np.argmin(finite))
+                raise BadInput(
+                    f"{self.label(key)}, {self.row(row)}",
+                    _unlike_a_number(self.cells(key)[row]),
+                    "correct the cell, or cut the row out of the file",
+                )
+            self._columns[key] = values
+        return self._columns[key]
+
+    def cells(self, key: str | int) -> NDArray[Any]:
+        """Return the raw cells of the rows used, (n,) or, of several signals, (n, k)."""
+        place, signal = self.place(key)
+        cells = self.load(place)
+        # of samples there are more than signals
+        if cells.ndim == 2 and not self.by_rows and cells.shape[1] > cells.shape[0]:
+            cells = cells.T
+        if self.rows is not None and cells.ndim:
+            if len(cells) != self.count:
+                problem = f"has {len(cells)} values, the column in where has {self.count}"
+                raise BadInput(self.label(key), problem, "give columns of one length")
+            cells = cells[self.rows]
+        if signal is None:
+            return cells
+        if cells.ndim == 1 and any(isinstance(cell, _LISTS) for cell in cells):
+            lists = (cell if isinstance(cell, _LISTS) else () for cell in cells)
+            parts = [part[signal] if signal < len(part) else None for part in lists]
+            return np.array(parts, dtype=object)
+        if cells.ndim != 2:
+            raise BadInput(self.label(key), "holds no lists", "leave the index in brackets out")
+        if signal >= cells.shape[1]:
+            problem = f"holds {cells.shape[1]} values a sample"
+            hint = f"give an index from 0 to {cells.shape[1] - 1}"
+            raise BadInput(self.label(key), problem, hint)
+        return cells[:, signal]
+
+    def at(self, rows: Index, count: int) -> Table:
+        """Select some of ``count`` rows, which every column must have."""
+        if self.rows is None:
+            return replace(self, rows=rows, count=count)
+        return replace(self, rows=self.rows[rows])
+
+    def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
+        """Select the rows in which columns equal values."""
+        table = self
+        for name, value in conditions.items():
+            key = int(name) if name.isdecimal() and name not in self.names else name
+            if isinstance(value, str):
+                cells = np.array([str(cell).strip() for cell in table.cells(key)], dtype=object)
+            else:
+                cells = table.column(key)
+            rows = np.flatnonzero(cells == value)
+            if not rows.size:
+                present = [
+                    repr(v) if isinstance(v, str) else f"{v:.10g}" for v in dict.fromkeys(cells)
+                ]
+                more = f" and {len(present) - 20} more" if len(present) > 20 else ""
+                hint = f"it has {', '.join(present[:20])}{more}"
+                raise BadInput(f"{table.label(key)}, where", f"is {value!r} in no row", hint)
+            table = table.at(rows, len(cells))
+        return table
+
+    def check_order(self, time: Array, key: str | int) -> None:
+        """Refuse time stamps of a column ``key`` that do not increase."""
+        wrong = np.diff(time) <= 0
+        if not wrong.any():
+            return
+        index = int(np.argmax(wrong)) + 1
+        where = f"{self.label(key)}, {self.row(index)}"
+        if time[index] == time[index - 1]:
+            problem = f"repeats the time stamp {time[index]:.9g} s of the row before"
+            hint = "cut the repeated rows out, or record time with finer resolution"
+            raise BadInput(where, problem, hint)
+        problem = f"goes back in time, from {time[index - 1]:.9g} s to {time[index]:.9g} s"
+        raise BadInput(where, problem, "sort the rows by time, or split the file there")
+
+    def clock(self, key: str | int) -> str | None:
+        """Return the name of the column of a column's own time stamps."""
+        return self.clocks.get(self.names[self.place(key)[0]])
+
+    def paired(self, keys: Sequence[str | int], clock: str | int, flag: str | int | None) -> Table:
+        """Bring columns with other time stamps than the column ``clock`` to those by time.
+
+        Linearly; of a ``flag`` the last value before counts. Rows beyond the common span go.
+        """
+        clocks = {key: own for key in keys if (own := self.clock(key)) not in (None, clock)}
+        if not clocks:
+            return self
+        stamps = self.column(clock)
+        columns, common = dict[str | int, Array](), np.ones(stamps.size, dtype=np.bool_)
+        for key, column in clocks.items():
+            assert column is not None
+            time, values = self.column(column), self.column(key)
+            self.check_order(time, column)
+            common &= (stamps >= time[0]) & (stamps <= time[-1])
+            before = np.searchsorted(time, stamps, "right") - 1
+            columns[key] = values[before] if key == flag else np.interp(stamps, time, values)
+        rows, others = np.flatnonzero(common), ", ".join(map(repr, dict.fromkeys(clocks.values())))
+        if not rows.size:
+            problem = f"have no time in common with those of '{clock}'"
+            raise BadInput(f"{self.where}, stamps of {others}", problem, "check both")
+        note = f"time: columns {', '.join(map(repr, clocks))} have time stamps of their own "
+        note += f"({others}), and are interpolated at those of '{clock}'; "
+        note += f"{stamps.size - rows.size} rows without a partner left out"
+        table = replace(self.at(rows, stamps.size), notes=(*self.notes, note))
+        table._columns.update({key: values[rows] for key, values in columns.items()})
+        return table
+
+
+def _number(cell: Any, decimal: str) -> float:
+    """Return a cell as a number, NaN where it is none."""
+    if isinstance(cell, str):
+        return float(cell.strip().replace(decimal, ".")) if is_number(cell, decimal) else np.nan
+    try:
+        return np.nan if isinstance(cell, _LISTS) else float(cell)
+    except (TypeError, ValueError, OverflowError):
+        return np.nan
+
+
+def _unlike_a_number(cell: Any) -> str:
+    """Say what a cell holds in place of a number."""
+    if cell is None or (isinstance(cell, str) and not cell.strip()):
+        return "is empty"
+    text = repr(cell.item() if isinstance(cell, np.generic) else cell)
+    if isinstance(cell, _LISTS):
+        text = f"a list of {len(cell)}"
+    return f"holds {text[:60]}, not a finite number"
