@@ -287,11 +287,10 @@ def test_each_recording_has_its_offset(bench):
     offsets = {"one": 0.08, "two": -0.05}
     for seed, (name, offset) in enumerate(offsets.items(), start=1):
         keys = {"duration": 4.0, "rate": 500, "encoder_counts": 2**20, "torque_noise": 0.01}
-        text = simulation(seed=seed, **keys) + f"parameters = {{ offset = {offset} }}\n"
-        bench.simulated(JOINT + recorded(name) + text, name)
-    prior = '\n[priors]\noffset = {distribution = "norm", loc = 0.0, scale = 0.3}\n'
-    tables = "".join(map(recorded, offsets))
-    bench.config(JOINT + 'offset = "per-recording"\n' + tables + SHORT + prior)
+        motion = simulation(seed=seed, **keys) + f"parameters = {{ offset = {offset} }}\n"
+        bench.simulated(JOINT + recorded(name) + motion, name)
+    text = JOINT + 'offset = "per-recording"\n' + "".join(map(recorded, offsets)) + SHORT
+    bench.config(text)
     for method, estimate in bench.record("estimate", "c.toml")["estimates"].items():
         rows = estimate["parameters"]
         assert "offset" not in rows
@@ -300,6 +299,8 @@ def test_each_recording_has_its_offset(bench):
             assert abs(row["value"] - value) < 5 * row["sd_robust"] < 0.05, (method, name)
         row = rows["motor.coulomb"]
         assert abs(row["value"] - 0.2) < 5 * row["sd_robust"], method
+    prior = '\n[priors]\noffset = {distribution = "norm", loc = 0.0, scale = 0.3}\n'
+    bench.config(text + prior)
     rows = bench.record("fit", "c.toml", "-o", "run", codes=(0, 3))["parameters"]
     for name, value in offsets.items():
         row = rows[f"offset.{name}"]
