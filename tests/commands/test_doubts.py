@@ -88,7 +88,7 @@ def test_an_honest_recording_raises_no_doubt():
     # noise twice as large as the signal: little is explained, and rightly so
     torque = 0.1 * a + 0.3 * v + 0.2 * np.sign(v) + noise(t.size, 2.0, seed=4)
     summary = fitted(t, q, torque)
-    assert summary.doubts == []
+    assert not summary.doubts
     assert summary.sampler.status == "reliable"
 
 
@@ -225,9 +225,8 @@ def test_viscous_friction_takes_up_the_error_of_the_back_emf(viscous_kind, delay
     drive = {"torque_constant": f"{KT} N m/A", "resistance": f"{R} ohm"}
     recording = bf.Recording.from_arrays(t, q, side="joint", voltage=volts, name="bench", **drive)
     summary = bf.Model(joint, recording).fit().summary
-    assert summary.fit.back_emf.same_as_back_emf == [
-        n for n in summary.parameters if "viscous" in n
-    ]
+    names = [name for name in summary.parameters if "viscous" in name]
+    assert list(summary.fit.back_emf.same_as_back_emf) == names
     assert summary.fit.back_emf.nominal == pytest.approx(KT**2 / R)
     assert [message.kind for message in messages_of(summary)].count("back-EMF") == 1
     if viscous_kind is True:
