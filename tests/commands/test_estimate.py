@@ -69,8 +69,3 @@ def test_standstill_gives_no_standard_deviation(pendulum):
     record = pendulum.record("estimate", "c.toml", "--method", "output-error")
     parameters = record["estimates"]["output-error"]["parameters"]
     assert {row["sd"] for row in parameters.values()} == {None}
-
-
-def test_a_torque_that_no_joint_has(pendulum):
-    pendulum.altered(lambda table: table * [1.0, 1.0, 1e-200])
-    has(pendulum.refused("estimate", "c.toml"), "small.csv", "torque", "unit")
