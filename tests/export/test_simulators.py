@@ -227,6 +227,7 @@ def test_bam_loads_its_file_and_has_the_friction_that_was_written(name, tmp_path
 def test_newton_takes_friction_armature_and_damping(tmp_path):
     """The exported opinions over a joint of a stage; Newton's joint has numbers per radian."""
     newton = module("newton")
+    module("newton_usd_schemas")
     exported = bf.export(finished_posterior("plain"), "isaac")
     over = exported.files["joint.usda"].partition('over "joint"')[2].partition("{")[2]
     path = tmp_path / "stage.usda"
