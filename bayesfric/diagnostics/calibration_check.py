@@ -37,22 +37,15 @@ class CalibrationCheckOptions(Options):
 
 
 @dataclass(frozen=True, eq=False)
-class ReplicateFit:
-    """Estimate from one replicate without torque noise."""
-
-    # (d,) sampled parameters, a short step from the truth towards the estimate: full steps along
-    # unidentified directions have any length
-    near_truth: Array
-    share: float  # of the full step
-    unexplained: float  # mean square of the residual over the noise variance
-
-
-@dataclass(frozen=True, eq=False)
 class CalibrationCheck:
-    """True parameters of the replicates and the fits to them."""
+    """True parameters of replicates without torque noise, and the fits to them."""
 
     truth: Array  # (n, d) sampled parameters
-    fits: tuple[ReplicateFit, ...]  # of each replicate
+    # (n, d) a short step from the truth towards the estimate, and (n,) its share of the full step:
+    # full steps along unidentified directions have any length
+    near_truth: Array
+    steps: Array
+    unexplained: Array  # (n,) mean square of the residual over the noise variance
     seconds: float
     cpu_seconds: float
     # Why it was not made: a likelihood of the position, samples at standstill, failed sampling,
@@ -87,14 +80,18 @@ def calibration_check(
     for row, replicate in zip(truth, replicates, strict=True):  # the noise stays the posterior's
         row[: len(columns)] = replicate.values[columns]
     pairs = zip(truth, replicates, strict=True)
-    fits = tuple(_fit(target, *pair, columns, explained.share) for pair in pairs)
+    near_truth, steps, unexplained = np.copy(truth), np.ones(len(truth)), np.ones(len(truth))
+    for k, pair in enumerate(pairs):
+        near_truth[k], steps[k], unexplained[k] = _fit(target, *pair, columns, explained.share)
     seconds = time.perf_counter() - begun, time.process_time() - worked
-    return CalibrationCheck(truth, fits, *seconds, reason, explained.share)
+    return CalibrationCheck(
+        truth, near_truth, steps, unexplained, *seconds, reason, explained.share
+    )
 
 
 def _fit(
     target: Target, truth: Array, replicate: Replicate, columns: Sequence[int], share: float
-) -> ReplicateFit:
+) -> tuple[Array, float, float]:
     """Take one Gauss-Newton step from the true parameters ``(d,)`` of a replicate.
 
     The prior is centred on the truth, as its pull is no bias; for a subsample its information is
@@ -121,4 +118,4 @@ def _fit(
     step_share = 1e-3 / max(float(np.abs(step).max(initial=0.0)), 1e-3)
     near_truth = np.concatenate([units.moved(truth[:k], step_share * step), truth[k:]])
     residual = error - jacobian @ step
-    return ReplicateFit(near_truth, step_share, float(np.mean(residual**2)))
+    return near_truth, step_share, float(np.mean(residual**2))

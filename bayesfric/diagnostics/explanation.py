@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.motion import TURNS
-from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
 from bayesfric.diagnostics.regression import Effect, Replicate, regression_of
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
+from bayesfric.diagnostics.statistics import LEAST_OUTPUTS, LONGEST
 from bayesfric.estimates.input_error import few_threads
+from bayesfric.estimates.point_estimate import HALF as MOVES
 from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES

@@ -22,13 +22,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import ndtri
 
-from bayesfric.diagnostics import policy
-from bayesfric.diagnostics.autocorrelation import (
-    WHITE,
-    Autocorrelation,
-    Layout,
-    choose_autocorrelation,
-)
 from bayesfric.diagnostics.candidates import (
     BY_NAME,
     KINDS,
@@ -36,29 +29,36 @@ from bayesfric.diagnostics.candidates import (
     columns_along,
     filtered_columns,
 )
-from bayesfric.diagnostics.disturbances import (
-    DELAYS,
-    SINUSOID,
-    TRANSIENT,
-    Scan,
-    sinusoid_columns,
-    transient_columns,
-    tune_frequency,
-)
 from bayesfric.diagnostics.motion import MotionSignals, Scales, scales_of
 from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
-    HALF,
+    DELAYS,
+    FALSE_ALARMS,
+    LEAST_OUTPUTS,
+    MAX_EFFECTS,
+    MEAN_AS_SPREAD,
     OPEN,
+    REPLICATES,
+    SINUSOID,
+    TESTABLE,
+    TRANSIENT,
+    WHITE,
+    Autocorrelation,
     Columns,
     Key,
+    Layout,
+    Scan,
     basis_of,
+    candidate_groups,
+    choose_autocorrelation,
     mean_square,
     project_out,
     score_candidates,
+    sinusoid_columns,
     standard_normal_scores,
-    testable,
+    transient_columns,
     truncated_least_squares,
+    tune_frequency,
     unit_scores,
 )
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
@@ -127,7 +127,7 @@ class Regression:
     included: list[Effect] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        self.groups = testable(self.data)
+        self.groups = candidate_groups(self.data)
         self._clean = [replicate.residual for replicate in self.replicates]
         self._choose_noise()
 
@@ -184,7 +184,7 @@ class Regression:
         """Kinds that are collinear with the model's own columns on this motion."""
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
-    def effects(self, most: int = policy.MAX_EFFECTS) -> list[Effect]:
+    def effects(self, most: int = MAX_EFFECTS) -> list[Effect]:
         """Forward-select missing effects; the last one may be the best that is not significant."""
         effects = [effect for effect, _ in self._forward_selection(most)]
         self.included = [effect for effect in effects if effect.significant]
@@ -226,19 +226,20 @@ class Regression:
         recorded = score_candidates(self.data, *arguments)
         simulated = [score_candidates(replicate, *arguments) for replicate in self.replicates]
         z, null = standard_normal_scores(recorded, simulated)
+        _, gains, scans = recorded
         largest = null.max(axis=1)
-        limit = float(np.quantile(largest, 1.0 - policy.FALSE_ALARMS, method="higher"))
+        limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
         # few replicates give it to 0.3: at least that of as many independent normals (Bonferroni)
-        limit = max(limit, -float(ndtri(0.5 * policy.FALSE_ALARMS / z.size)))
+        limit = max(limit, -float(ndtri(0.5 * FALSE_ALARMS / z.size)))
         # a shape, or the place of a search, is one more parameter
         shapes = Counter(key.kind for key, _ in self.groups)
         parameters = [len(columns) - 1 + (shapes[key.kind] > 1) for key, columns in self.groups]
-        gains = np.append(recorded.gains, [scan.peak for scan in recorded.scans])
+        gains = np.append(gains, [scan.peak for scan in scans])
         worth = gains - np.array([*parameters, 2, 1, 1]) * math.log(self.data.residual.size)
         allowed = z > limit
-        kinds = [*(key.kind for key, _ in self.groups), *(scan.kind for scan in recorded.scans)]
+        kinds = [*(key.kind for key, _ in self.groups), *(scan.kind for scan in scans)]
         if for_noise:  # the noise's drift, of up to 1 Hz, is not known yet
-            drift = {TRANSIENT, "drift", *([SINUSOID] if recorded.scans[0].place < 1.0 else [])}
+            drift = {TRANSIENT, "drift", *([SINUSOID] if scans[0].place < 1.0 else [])}
             allowed &= [kind not in drift for kind in kinds]
         transient = np.array([kind == TRANSIENT for kind in kinds])
         if (allowed & ~transient).any():
@@ -262,7 +263,7 @@ class Regression:
         if best < len(self.groups):
             key, columns = self.groups[best]
             return Effect(key.kind, key.shape, columns, *statistics), worth
-        scan = self._tuned(recorded.scans[best - len(self.groups)], extra)
+        scan = self._tuned(scans[best - len(self.groups)], extra)
         columns = self._scan_columns(scan) if significant or not for_noise else []
         return Effect(scan.kind, self._scan_shape(scan), columns, *statistics, scan), worth
 
@@ -305,8 +306,18 @@ class Regression:
         torque = self.data.others[:, columns] @ coefficients
         return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
 
-    def _collinear(self, effect: Effect, extra: Sequence[int], worth: Array) -> Iterator[str]:
-        """List other kinds that explain as much or are collinear; none for disturbances."""
+    def _collinear(
+        self,
+        effect: Effect,
+        extra: Sequence[int],
+        worth: Array,
+        collinear_from: float = 0.95,
+        better: float = 10.0,
+    ) -> Iterator[str]:
+        """List other kinds that explain as much or are collinear; none for disturbances.
+
+        That is from a cosine on; and a gain ``better`` by 10 is a factor of 150 in likelihood.
+        """
         if effect.kind in (SINUSOID, TRANSIENT):
             return
         white = self.data.whitened
@@ -321,8 +332,8 @@ class Regression:
             if key.kind in yielded or BY_NAME[key.kind].of_recording:
                 continue
             cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
-            collinear = cosines.size > 0 and float(cosines.min()) > policy.COLLINEAR
-            if gain > best - policy.BETTER or (collinear and gain > 0.5 * best):
+            collinear = cosines.size > 0 and float(cosines.min()) > collinear_from
+            if gain > best - better or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind
 
@@ -388,7 +399,7 @@ class Regression:
         remainder = project_out(base, project_out(base, white))
         residual = project_out(base, d.residual)
         unit, total = np.linalg.norm(remainder, axis=0), np.linalg.norm(white, axis=0)
-        identified = unit > policy.TESTABLE * total
+        identified = unit > TESTABLE * total
         groups = [(k.kind, tuple(i)) for k, i in self.groups if not BY_NAME[k.kind].least]
         groups += [(e.kind, tuple(e.columns)) for e in self.included if e.scan is not None]
         # shapes between those of a grid
@@ -412,7 +423,7 @@ class Regression:
             scores=remainder.T @ residual - mean * unit,
             column_errors=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
             power=float(residual @ residual),
-            spread=np.hypot(np.maximum(spread, 1.0), HALF * bias),
+            spread=np.hypot(np.maximum(spread, 1.0), MEAN_AS_SPREAD * bias),
             free=residual.size - base.shape[1],
         )
 
@@ -425,7 +436,7 @@ def regression_of(
     values: Array,
     known: Collection[str] = (),
     seed: int = 0,
-    number: int = policy.REPLICATES,
+    number: int = REPLICATES,
 ) -> tuple[Regression, tuple[Replicate, ...]]:
     """Set up the regression at parameters ``(n_parameters,)``, and simulate its replicates."""
     draws, others, noise = np.random.SeedSequence(seed).spawn(3)
@@ -457,7 +468,7 @@ def regression_of(
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
-        if len(usable) == len(repeated) and outputs >= len(chain.names) + policy.LEAST_OUTPUTS:
+        if len(usable) == len(repeated) and outputs >= len(chain.names) + LEAST_OUTPUTS:
             simulated.append((vector, columns_at(vector, usable)))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")

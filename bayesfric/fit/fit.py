@@ -98,7 +98,7 @@ def _conclude(
     derived = groups(sampled)
     summary = summarise(sampled, problem.references(), start.choice, derived)
     summary = add_model_error(summary, sampled, derived)
-    summary = _with_back_emf(summary, speed_term(target, posterior.median, problem.recordings))
+    summary = _with_back_emf(summary, speed_term(start.target, problem.recordings))
     findings = explained.with_severity(widened=summary.widened)
     update: dict[str, Any] = {
         "fit": summary.fit.model_copy(update={"rests": violations}),
