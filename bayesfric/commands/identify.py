@@ -85,7 +85,7 @@ def _doubts(model: Model) -> tuple[list[dict[str, Any]], list[str]]:
 
 def _excitation(ranking: Ranking, unit: str) -> str:
     table = io.StringIO()
-    rows, header = ranking.advices[0].candidate.rows, f"time,torque\ns,{unit}"
+    rows, header = ranking.candidates[0].rows, f"time,torque\ns,{unit}"
     np.savetxt(table, rows, fmt=["%.10g", "%.6g"], delimiter=",", header=header, comments="")
     return table.getvalue()
 

@@ -21,7 +21,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -66,23 +65,11 @@ class Curve:
         return np.asarray(self.covered & np.isfinite(self.median))
 
 
-class Recorded(Protocol):
-    """A joint and the motions that it made."""
-
-    @property
-    def chain(self) -> Joint:
-        """The mechanism."""
-
-    @property
-    def observations(self) -> Sequence[Observation]:
-        """The motions."""
-
-
 def friction_curves(fit: Fit, levels: Sequence[float] = ()) -> list[Curve]:
     """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
     open_scale = has_open_scale(fit)
     median = fit.target.chain_values(fit.posterior.median[None])
-    place = covered(fit, median[0], open_scale)
+    place = covered(fit.chain, fit.observations, median[0], open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     ways = [place[1][place[1] > 0.0], place[1][place[1] < 0.0]] if lossy else []
     loads = [float(np.quantile(np.abs(x), 0.9) * np.sign(x[0])) for x in ways if x.size]
@@ -201,15 +188,16 @@ def _reach(recorded: Array) -> Array:
     return np.asarray(NEAR * np.where(inner > 0.0, inner, np.ptp(recorded, axis=1)))
 
 
-def covered(recorded: Recorded, median: Array, open_scale: bool) -> Array:
+def covered(
+    chain: Joint, observations: Sequence[Observation], median: Array, open_scale: bool
+) -> Array:
     """Give the motor's speed at all outputs and, at the chain parameters ``median``, their loads.
 
     ``(2, M)``; loads are loss-free, at the motor, and positive where they resist the motion.
     """
-    chain = recorded.chain
     reach = float(load_reach(chain, median[None], open_scale=open_scale)[0])
     speeds, loads = [], []
-    for o in recorded.observations:
+    for o in observations:
         speeds.append(chain.ratio * o.speed)
         loads.append(reach * load_at_outputs(chain, o, median) * np.sign(o.speed))
     return np.stack([np.concatenate(speeds), np.concatenate(loads)])

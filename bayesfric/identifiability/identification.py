@@ -32,7 +32,7 @@ from bayesfric.identifiability.local import (
     prior_rows,
     verdict,
 )
-from bayesfric.identifiability.simulated_recording import (
+from bayesfric.identifiability.next_recording import (
     LAG,
     LINES,
     known_mass,
