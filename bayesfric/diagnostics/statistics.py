@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import betainc, ndtri_exp
 
 from bayesfric.estimates import autoregression as ar
@@ -247,11 +248,7 @@ def sinusoidal_disturbance(y: Array, layout: Layout) -> Scan:
     power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))
     power = power / np.maximum(1.0 - power / y.size, 1e-6)
     i = int(np.argmax(power))
-    shift = 0.0
-    if i:  # interpolate between the frequencies of the grid
-        low, mid, high = power[i - 1 : i + 2]
-        shift = 0.5 * (low - high) / (low - 2.0 * mid + high)
-    return Scan(SINUSOID, float(power[i]), float(f[i] + shift * f[1]))
+    return Scan(SINUSOID, float(power[i]), float(f[i]))
 
 
 def transient_disturbance(y: Array, layout: Layout, width: float) -> Scan:
@@ -294,28 +291,20 @@ def transient_columns(layout: Layout, scan: Scan, width: float) -> Array:
 def tune_frequency(
     y: Array, layout: Layout, hertz: float, project: Callable[[Array], Array]
 ) -> float:
-    """Refine a sinusoid's frequency by four Gauss-Newton steps on a residual ``(n,)``.
+    """Refine a sinusoid's frequency so that it leaves least of a residual ``(n,)``.
 
-    Columns ``(t - t0) cos`` and ``(t - t0) sin`` are fitted as b2 and b3 together with ``b0 sin +
-    b1 cos``; the step of the angular frequency is ``(b0 b2 - b1 b3) / (b0^2 + b1^2)``, summed over
-    recordings. ``project`` whitens columns and projects the model's out.
+    It is less than a period of the longest recording off. ``project`` whitens columns and projects
+    the model's out.
     """
-    t = np.concatenate(layout.stamps)
-    longest = 0.2 / max(float(np.ptp(stamps)) for stamps in layout.stamps)
-    middle = float(t.mean())
-    for _ in range(4):
-        numerator = denominator = 0.0
-        angle = 2.0 * np.pi * hertz * t
-        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        derivatives = (t - middle)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        for member in layout.members:
-            x = project(np.column_stack([wave, derivatives]) * member[:, None])
-            b = np.linalg.lstsq(x, y, rcond=1e-9)[0]
-            numerator += float(b[0] * b[2] - b[1] * b[3])
-            denominator += float(b[0] ** 2 + b[1] ** 2)
-        step = numerator / max(denominator, 1e-300) / (2.0 * np.pi)
-        hertz += float(np.clip(step, -longest, longest))
-    return hertz
+    period = max(float(np.ptp(stamps)) for stamps in layout.stamps)
+
+    def power(f: float) -> float:
+        x = project(sinusoid_columns(layout, f))
+        return float(((y - x @ np.linalg.lstsq(x, y, rcond=1e-9)[0]) ** 2).sum())
+
+    bounds = hertz - 0.8 / period, hertz + 0.8 / period
+    best = minimize_scalar(power, bounds=bounds, method="bounded", options={"xatol": 1e-5 / period})
+    return float(best.x)
 
 
 # Columns of candidates

@@ -72,7 +72,7 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
                 "predicted": candidate.after.sd,
                 "sampled": sd,
                 "status": status,
-                "back_driven": {k: v["mean"] for k, v in candidate.load_drives.items()},
+                "back_driven": candidate.load_drives,
             }
         )
         print(

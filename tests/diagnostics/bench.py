@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag, toeplitz
 
 import bayesfric as bf
-from bayesfric.diagnostics.autocorrelation import Layout
+from bayesfric.diagnostics.statistics import Layout
 from bayesfric.estimates import autoregression as ar
 from bayesfric.fit.model import Model
 from tests.axis import recording_of
