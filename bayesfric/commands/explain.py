@@ -10,7 +10,7 @@ from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.diagnostics.before_a_fit import little_explained
-from bayesfric.diagnostics.explanation import Finding
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.fit.model import Model
 from bayesfric.report.terminal import wrapped
 from bayesfric.report.words import clause, doubt_text, filled, line_of

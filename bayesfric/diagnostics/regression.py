@@ -18,6 +18,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import ndtri
@@ -70,34 +71,59 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.source import Processing
 
+Severity = Literal["note", "doubt"]
+
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Effect:
-    """One candidate of forward selection."""
+@dataclass(frozen=True)
+class Finding:
+    """An effect in the recordings that replicates of a right model do not show."""
 
-    kind: str
-    shape: str
-    columns: Sequence[int]  # indices
-    significant: bool
-    # statistic as a standard normal, and p-value (1 + k) / (n + 1): k of n replicates have a
-    # candidate with as large a statistic
-    z: float
-    p: float
-    # largest z of all candidates, and its critical value
-    largest: float
-    limit: float
-    scan: Scan | None = None  # place of a disturbance or far delay
-    share: float = 0.0  # rms of its torque over that of all torque
-    # recording and seconds of a transient; the recording also of an effect in one recording alone
-    recording: str = ""
-    span: tuple[float, float] | None = None
-    coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    kind: str  # key of ``words.toml``
+    severity: Severity  # doubt if it moves a reported number by more than half its interval
+    statistic: float  # standard normal score among the replicates
+    p: float  # (1 + k) / (n + 1): k of n replicates have a candidate with as large a statistic
+    shape: str = ""  # such as a speed or a frequency; empty if the kind has one shape
+    recording: str = ""  # empty for all
+    span: tuple[float, float] | None = None  # s; None for the whole recording
+    share: float = 0.0  # rms of its torque over the rms of all torque
+    rivals: tuple[str, ...] = ()  # kinds that explain as much or are collinear on this motion
     # shift of each identified parameter or derived quantity in its standard deviations
     moves: Mapping[str, float] = field(default_factory=dict)
-    collinear: tuple[str, ...] = ()  # kinds that explain as much or are collinear
+    setting: str = ""  # line of a configuration that adds the term; empty if there is none
+    physical: bool = True  # whether the estimated sign is possible for that term
+    # of the selection: whether the statistic is above its critical value
+    significant: bool = field(default=True, repr=False)
+    largest: float = field(default=0.0, repr=False)  # statistic of all candidates
+    limit: float = field(default=0.0, repr=False)  # its critical value
+    columns: Sequence[int] = field(default=(), repr=False)  # indices
+    coefficients: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
+    scan: Scan | None = field(default=None, repr=False)  # place of a disturbance or far delay
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that it moves, the largest shift first."""
+        return tuple(self.moves)
+
+    @property
+    def hint(self) -> str:
+        """The setting, if the sign allows it."""
+        return self.setting if self.physical else ""
+
+    @property
+    def applicable(self) -> bool:
+        """Whether the setting may be applied automatically; a delay only without rivals."""
+        return bool(self.hint) and not (self.kind in ("delay", "target_delay") and self.rivals)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of ``summary.json``."""
+        names = [name for name, field_ in self.__dataclass_fields__.items() if field_.repr]
+        fields = {name: getattr(self, name) for name in names if name != "setting"}
+        span = None if self.span is None else list(self.span)
+        lists = {"parameters": list(self.parameters), "rivals": list(self.rivals), "span": span}
+        return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +150,7 @@ class Regression:
     noise_seed: np.random.SeedSequence
     smoothed: str = ""  # shape of the low-pass before logging
     noise: Autocorrelation = field(init=False)
-    included: list[Effect] = field(init=False, default_factory=list)
+    included: list[Finding] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         self.groups = candidate_groups(self.data)
@@ -184,7 +210,7 @@ class Regression:
         """Kinds that are collinear with the model's own columns on this motion."""
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
-    def effects(self, most: int = MAX_EFFECTS) -> list[Effect]:
+    def effects(self, most: int = MAX_EFFECTS) -> list[Finding]:
         """Forward-select missing effects; the last one may be the best that is not significant."""
         effects = [effect for effect, _ in self._forward_selection(most)]
         self.included = [effect for effect in effects if effect.significant]
@@ -192,7 +218,7 @@ class Regression:
 
     def _forward_selection(
         self, most: int, *, for_noise: bool = False
-    ) -> Iterator[tuple[Effect, list[int]]]:
+    ) -> Iterator[tuple[Finding, list[int]]]:
         """Include one candidate after the other; yield each with the columns included before it.
 
         With ``for_noise`` the noise is white, and only the selected columns are included. It ends
@@ -211,7 +237,7 @@ class Regression:
                 same_kind = [i for i, k in keys if k.kind == effect.kind and not k.delay]
                 extra += [i for i in same_kind if i not in extra]
 
-    def _select(self, extra: Sequence[int], for_noise: bool) -> tuple[Effect, Array]:
+    def _select(self, extra: Sequence[int], for_noise: bool) -> tuple[Finding, Array]:
         """Select the significant candidate with the largest penalised gain, searches last.
 
         A transient is selected only if nothing else is significant, a fault of the recording only
@@ -259,15 +285,22 @@ class Regression:
         significant = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if significant else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
-        statistics = significant, float(z[best]), p, float(z.max()), limit
+        statistic = float(z[best]), p
+        selected: dict[str, Any] = {
+            "significant": significant,
+            "largest": float(z.max()),
+            "limit": limit,
+        }
         if best < len(self.groups):
             key, columns = self.groups[best]
-            return Effect(key.kind, key.shape, columns, *statistics), worth
+            selected |= {"shape": key.shape, "columns": columns}
+            return Finding(key.kind, "note", *statistic, **selected), worth
         scan = self._tuned(scans[best - len(self.groups)], extra)
         columns = self._scan_columns(scan) if significant or not for_noise else []
-        return Effect(scan.kind, self._scan_shape(scan), columns, *statistics, scan), worth
+        selected |= {"shape": self._scan_shape(scan), "columns": columns, "scan": scan}
+        return Finding(scan.kind, "note", *statistic, **selected), worth
 
-    def _fitted(self, effect: Effect, extra: Sequence[int], worth: Array) -> Effect:
+    def _fitted(self, effect: Finding, extra: Sequence[int], worth: Array) -> Finding:
         """Fit a selected candidate: its share and place, shifts of parameters, collinear kinds."""
         d, split, scan = self.sizes.size, self.sizes.size + len(extra), effect.scan
         before, *_ = self._fit(extra)
@@ -293,7 +326,7 @@ class Regression:
             span=span,
             coefficients=after[split:],
             moves=moves,
-            collinear=tuple(self._collinear(effect, extra, worth)) if effect.significant else (),
+            rivals=tuple(self._collinear(effect, extra, worth)) if effect.significant else (),
         )
 
     def _fit(self, columns: Sequence[int]) -> tuple[Array, Array, Array]:
@@ -308,7 +341,7 @@ class Regression:
 
     def _collinear(
         self,
-        effect: Effect,
+        effect: Finding,
         extra: Sequence[int],
         worth: Array,
         collinear_from: float = 0.95,

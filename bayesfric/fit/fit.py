@@ -10,7 +10,8 @@ from typing import Any
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, identify, speed_term

@@ -20,7 +20,7 @@ import numpy as np
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.templates import factor, percent
 from bayesfric.estimates.assemble import bounds_met
-from bayesfric.identifiability.coverage import Coverage, back_driving, coverage_of
+from bayesfric.identifiability.friction_curve import Coverage, back_driving, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,

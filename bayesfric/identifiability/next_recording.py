@@ -28,7 +28,7 @@ from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.autoregression import follows
 from bayesfric.estimates.information import directions
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.coverage import back_driving
+from bayesfric.identifiability.friction_curve import back_driving
 from bayesfric.identifiability.local import (
     LocalInformation,
     derived_gradients,

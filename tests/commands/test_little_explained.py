@@ -1,4 +1,4 @@
-"""What is said where a model explains little: units first, no mechanism in use, no delay."""
+"""A wrong unit or mechanism is not taken for a delay."""
 
 from dataclasses import replace
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.before_a_fit import other_units
 
 T = 0.002 * np.arange(10000)
 
@@ -21,45 +20,6 @@ def pendulum(times=1.0, preset="servo-pendulum", late=0, spins=True, delay=False
     q = np.roll(q, late)[100:]
     recording = bf.Recording.from_arrays(T[100:], times * q, torque[100:], name="bench")
     return bf.Model(replace(bf.Joint.preset(preset), delay=delay), recording)
-
-
-@pytest.mark.usefixtures("unexplained")
-@pytest.mark.parametrize(
-    ("times", "unit", "taken"),
-    [
-        (np.pi / 180.0, "rad", "deg"),
-        (180.0 / np.pi, "deg", "rad"),
-        (2.0 * np.pi, "rad", "turn"),
-        (0.5 / np.pi, "turn", "rad"),
-    ],
-)
-def test_the_right_unit_of_a_position_is_named_first(times, unit, taken):
-    """Numbers in one unit that are read in another; the mechanism is right."""
-    found = bf.check(pendulum(times))
-    (doubt,) = [one for one in found.as_json()["doubts"] if one["kind"] == "unexplained"]
-    best = doubt["units"][0]
-    assert (best["is"], best["taken"]) == (unit, taken)
-    assert best["share"] > 0.98
-    assert doubt["presets"] == []
-
-
-@pytest.mark.usefixtures("unexplained")
-def test_nothing_is_said_of_units_that_change_nothing():
-    """A small swing of another scale has other numbers, not another torque."""
-    for model in (pendulum(spins=False), pendulum(np.pi / 180.0, spins=False)):
-        assert other_units(model.chain, model.observations) == []
-    assert other_units(pendulum().chain, pendulum().observations) == []
-
-
-@pytest.mark.usefixtures("unexplained")
-def test_another_mechanism_is_one_that_is_not_in_use():
-    (doubt,) = (
-        one
-        for one in bf.check(pendulum(preset="motor-axis")).as_json()["doubts"]
-        if one["kind"] == "unexplained"
-    )
-    assert doubt["presets"] == ["servo-pendulum"]
-    assert doubt["units"] == []
 
 
 @pytest.mark.slow
@@ -102,8 +62,5 @@ def test_a_measured_pendulum_in_a_wrong_unit(real_data, unit, named):
     found = bf.check(bf.Model(bf.Joint.preset("servo-pendulum"), recording))
     doubts = [one for one in found.as_json()["doubts"] if one["kind"] == "unexplained"]
     assert bool(doubts) == named
-    if named:
-        (best,) = doubts[0]["units"]
-        assert (best["is"], best["taken"]) == ("rad", "deg")
-        assert best["share"] > 0.8 > 2 * doubts[0]["share"]
+    assert all(doubt["share"] < 0.4 for doubt in doubts)
     assert not any("delay = true" in one for one in found.warnings)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.regression import regression_of
 from bayesfric.fit.model import Model
 from tests.axis import recording_of
 from tests.diagnostics.bench import QUICK, axis, model, recording, table
@@ -86,18 +85,6 @@ def test_how_late_a_target_acts_is_unknown_by_default():
     row = stiff.fit(seed=1).summary.joint["motor.viscous"]
     right = abs(row.value - PENDULUM["motor.viscous"]) < 3.0 * row.reported.sd
     assert right or row.reported.status != "identified"
-
-
-def test_the_same_seed_gives_the_same_answer(right):
-    values = right.chain.vector(dict(right.estimates(["input-error"])[0].point))
-    processing = right.config.tables.processing
-    seen = right.chain, right.recordings, right.observations, processing, values
-
-    def best(seed):
-        (effect,) = regression_of(*seen, seed=seed, number=12)[0].effects(1)
-        return effect.kind, effect.shape, effect.z
-
-    assert best(5) == best(5) != best(6)
 
 
 def test_a_joint_without_inertia_lacks_it():

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.replicates import fixed_processing, replicate_motion, replicates
+from bayesfric.diagnostics.replicates import replicate_motion, replicates
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import finest_step, lay_windows
 from bayesfric.recordings.measurement import Inputs, Signal
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.source import Processing
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import TRUTH, axis, draws_about, model
@@ -24,64 +23,59 @@ def made():
     return model()
 
 
-def replayed(made, values, recording=None, observation=None):
+def simulated(made, values, recording=None, observation=None):
     recording = recording or made.recordings[0]
     seeds = np.random.SeedSequence(1).spawn(len(values))
     processing = made.config.tables.processing
-    return list(
-        replicates(
-            made.chain, values, recording, observation or made.observations[0], processing, seeds
-        )
-    )
+    observation = observation or made.observations[0]
+    return list(replicates(made.chain, values, recording, observation, processing, seeds))
 
 
-def test_the_torque_of_a_replay_is_what_made_its_motion(made):
+def test_the_torque_of_a_replicate_is_that_of_its_motion(made):
     """Behind the filters the inverse model finds it again, but for steps of the encoder."""
-    for values, seen in zip(draws_about(VALUES), replayed(made, draws_about(VALUES)), strict=True):
+    for values, seen in zip(draws_about(VALUES), simulated(made, draws_about(VALUES)), strict=True):
         torque = inverse_torque(made.chain, values, seen.q, seen.qd, seen.qdd, inputs=seen.inputs)
         left = seen.measured - seen.filter.apply(torque)
         assert np.std(left) < 0.01 * np.std(seen.measured)
 
 
-def test_a_replay_is_read_in_the_steps_of_the_recording(made):
+def test_a_replicate_has_the_encoder_steps_of_the_recording(made):
     recording = made.recordings[0]
     step = finest_step(recording.position)
     assert step == pytest.approx(2 * np.pi / 8192 / 50)
     bare = made.config.tables.processing.model_copy(update={"lowpass": 0.0, "decimate": 10})
-    told = {"lowpass": 0.0}
     observation = made.observations[0]
-    observation = replace(observation, settings=observation.settings | told)
+    observation = replace(observation, settings=observation.settings | {"lowpass": 0.0})
     seeds = np.random.SeedSequence(1).spawn(1)
     (seen,) = replicates(made.chain, VALUES[None], recording, observation, bare, seeds)
     counts = (seen.q - seen.q[0]) / step
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
 
-def test_a_measured_velocity_is_replayed_too(made):
+def test_a_replicate_has_a_measured_velocity(made):
     recording, observation = made.recordings[0], made.observations[0]
     rng = np.random.default_rng(2)
     velocity = observation.qd + 1e-3 * rng.standard_normal(observation.qd.size)
     fast = replace(recording, velocity=velocity)
     seen_so = observe(fast, made.config.tables.processing)
-    (seen,) = replayed(made, VALUES[None], fast, seen_so)
+    (seen,) = simulated(made, VALUES[None], fast, seen_so)
     assert seen.settings["noise_seen"] == pytest.approx(seen_so.settings["noise_seen"], rel=0.2)
     assert np.std(seen.qd - seen_so.qd) < 0.1 * np.std(seen_so.qd)
 
 
-def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):
+def test_parameters_without_a_torque_have_no_replicate(made):
     values = draws_about(VALUES)
     values[1, made.chain.names.index("motor.viscous")] = np.nan
-    result = replayed(made, values)
+    result = simulated(made, values)
     assert [seen is None for seen in result] == [False, True, False, False]
 
 
-def test_a_torque_beside_the_motion_is_sampled_when_the_motion_is(made):
-    """Other inputs of a replicate are sampled at its instants: no loss is needed for them."""
+def test_other_inputs_are_sampled_when_the_motion_is(made):
     o, recording = made.observations[0], made.recordings[0]
     load = Signal(o.stamps, 5.0 * np.sin(2 * np.pi * 3.0 * o.stamps))
     recording = replace(recording, inputs=replace(recording.inputs, load_torque=load))
     pushed = replace(o, inputs=recording.inputs)
-    for seen in replayed(made, np.tile(VALUES, (4, 1)), recording, pushed):
+    for seen in simulated(made, np.tile(VALUES, (4, 1)), recording, pushed):
         torque = inverse_torque(
             made.chain, VALUES, seen.q, seen.qd, seen.qdd, inputs=seen.inputs, time=seen.stamps
         )
@@ -121,7 +115,7 @@ def bench(chain=None, settings=SETTINGS, segments=((0, 900), (900, N)), late=0.0
 
 @pytest.mark.parametrize("late", [None, 0.008])
 @pytest.mark.parametrize("phase", [0.0, 0.4, -0.3])
-def test_a_twin_moves_as_recorded_by_the_torque_that_this_needs(late, phase):
+def test_a_replicate_has_the_recorded_motion_and_the_torque_of_it(late, phase):
     """At other instants; exactly, by derivatives of the motion; recorded earlier by a delay."""
     chain, values, recording, o = bench(geared(delay=late is not None), late=late or 0.0)
     then = o.stamps - phase * PERIOD
@@ -143,10 +137,3 @@ def test_a_short_segment_is_one_polynomial(few):
     chain, values, recording, o = bench(segments=((0, 900), (900, 900 + few), (900 + few, N)))
     q, *_ = replicate_motion(chain, values, recording, o, 0.0)
     np.testing.assert_allclose(q, o.q, atol=1e-9)
-
-
-def test_twins_are_filtered_as_the_recording_was():
-    *_, o = bench()
-    result = fixed_processing(Processing(lowpass="10 Hz", order=2), o)
-    assert (result.lowpass, result.decimate, result.dead_zone, result.trim) == (40.0, 5, 0.1, 0.02)
-    assert result.order == 2
