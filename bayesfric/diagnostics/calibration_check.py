@@ -79,10 +79,10 @@ def calibration_check(
     truth = np.tile(posterior.median, (len(replicates), 1))
     for row, replicate in zip(truth, replicates, strict=True):  # the noise stays the posterior's
         row[: len(columns)] = replicate.values[columns]
-    pairs = zip(truth, replicates, strict=True)
-    near_truth, steps, unexplained = np.copy(truth), np.ones(len(truth)), np.ones(len(truth))
-    for k, pair in enumerate(pairs):
-        near_truth[k], steps[k], unexplained[k] = _fit(target, *pair, columns, explained.share)
+    near_truth, (steps, unexplained) = truth.copy(), np.ones((2, len(truth)))
+    for k, replicate in enumerate(replicates):
+        fit = _fit(target, truth[k], replicate, columns, explained.share)
+        near_truth[k], steps[k], unexplained[k] = fit
     seconds = time.perf_counter() - begun, time.process_time() - worked
     return CalibrationCheck(
         truth, near_truth, steps, unexplained, *seconds, reason, explained.share
@@ -102,13 +102,8 @@ def _fit(
     units, noise = units_of(target, truth), target.likelihood.noise
     scales = target.noise.scales(truth[None, k:])[0]
     rows = np.column_stack([replicate.base[:, columns] * units.units, replicate.residual])
-    pieces = [
-        noise.standard(piece.T, runs, scale)[0].T
-        for piece, runs, scale in zip(
-            replicate.layout.split(rows), replicate.layout.runs, scales, strict=True
-        )
-    ]
-    white = np.concatenate(pieces)
+    parts = zip(replicate.layout.split(rows), replicate.layout.runs, scales, strict=True)
+    white = np.concatenate([noise.standard(x.T, runs, scale)[0].T for x, runs, scale in parts])
     jacobian, error = white[:, :-1], white[:, -1]
     sds = np.array([prior.sd() for prior in target.priors[:k]])
     precision = np.where(np.isfinite(sds), (units.units / sds) ** 2, 0.0)

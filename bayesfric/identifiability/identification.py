@@ -136,13 +136,13 @@ class Identification:
         import pandas as pd
 
         table = pd.DataFrame([vars(prospect) for prospect in self.parameters]).set_index("name")
-        sharing = [
-            [name for d in self.directions if label in d.exponents for name in d.exponents]
+        together = {
+            label: [name for d in self.directions if label in d.exponents for name in d.exponents]
             for label in self.local.labels
-        ]
+        }
         table["open_with"] = [
             ", ".join(dict.fromkeys(name for name in names if name != label))
-            for label, names in zip(self.local.labels, sharing, strict=True)
+            for label, names in together.items()
         ]
         return table
 
