@@ -168,8 +168,8 @@ def test_columns_are_their_formulas(k):
     for name, columns in expected(a, k).items():
         shapes = BY_NAME[name].shapes(a)
         assert list(shapes) == list(columns), name
-        for shape, exact_ones in columns.items():
-            for column, true in zip(shapes[shape], exact_ones, strict=True):
+        for shape, exact_columns in columns.items():
+            for column, true in zip(shapes[shape], exact_columns, strict=True):
                 size = np.abs(true).max()
                 np.testing.assert_allclose(column, true, atol=1e-6 * size, err_msg=name + shape)
 

@@ -252,8 +252,8 @@ def test_marginalised_candidates_are_products_of_dense_residuals():
     size = np.where(losses, 0.5, 2.0) / np.abs(d.others).max(axis=0)
     np.testing.assert_allclose(missing.columns, d.others * size)
 
-    def products(one, noise=None):
-        x, z, y = whitened(one, one.base, one.others * size, one.residual, noise=noise)
+    def products(d, noise=None):
+        x, z, y = whitened(d, d.base, d.others * size, d.residual, noise=noise)
         q = np.linalg.qr(x)[0]
         return z - q @ (q.T @ z), y - q @ (q.T @ y)
 
