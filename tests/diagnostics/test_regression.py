@@ -312,8 +312,8 @@ def test_replicates_have_as_much_noise_as_the_recording(noise, sensors):
     r = selection(seed=1, noise=noise, change=change)
     level = mean_square(r.data.residual_with([]), 5)
     added = [t.residual - x for t, x in zip(r.replicates, clean, strict=True)]
-    power = np.mean([mean_square(r.noise.whitened(x, r.data.layout)) for x in added])
-    power *= r.noise.variance(r.data.layout)
+    innovations = r.noise.whitened(np.column_stack(added), r.data.layout)
+    power = np.mean(innovations**2) * r.noise.variance(r.data.layout)
     # powers of 24 replicates of 296 outputs, and of their sensors
     error = 4.0 * np.sqrt(2.0 / 24 / 296) * (level + sensors)
     assert power == pytest.approx(max(level - sensors, 0.1 * level), abs=error)
