@@ -16,7 +16,7 @@ from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.diagnostics.before_a_fit import little_explained
-from bayesfric.diagnostics.explanation import Finding
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates import METHODS
 from bayesfric.estimates.methods import TITLES
 from bayesfric.fit.model import Model
@@ -98,7 +98,7 @@ def advise(
     written = str(path) if path and ranking.worth else None
     if path and written:
         table = io.StringIO()
-        rows, header = ranking.advices[0].candidate.rows, f"time,torque\ns,{unit}"
+        rows, header = ranking.candidates[0].rows, f"time,torque\ns,{unit}"
         np.savetxt(table, rows, fmt=["%.10g", "%.6g"], delimiter=",", header=header, comments="")
         write_files({path: table.getvalue()}, replace=force)
     record, lines = _identifiability(
