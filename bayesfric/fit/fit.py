@@ -10,7 +10,8 @@ from typing import Any
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, identify, speed_term
@@ -98,7 +99,7 @@ def _conclude(
     derived = groups(sampled)
     summary = summarise(sampled, problem.references(), start.choice, derived)
     summary = add_model_error(summary, sampled, derived)
-    summary = _with_back_emf(summary, speed_term(target, posterior.median, problem.recordings))
+    summary = _with_back_emf(summary, speed_term(start.target, problem.recordings))
     findings = explained.with_severity(widened=summary.widened)
     update: dict[str, Any] = {
         "fit": summary.fit.model_copy(update={"rests": violations}),

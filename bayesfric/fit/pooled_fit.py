@@ -8,7 +8,8 @@ from typing import Any
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, Timer
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.fit.check_report import check
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import fit, make_target

@@ -15,10 +15,10 @@ import numpy as np
 from scipy import stats
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.estimates.least_squares import TypicalSizes, sizes_at
+from bayesfric.estimates.least_squares import sizes_at
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.quantities import TURN, Parameter, State, turned
+from bayesfric.mechanism.quantities import TURN, Parameter, State, TypicalSizes, turned
 from bayesfric.recordings.arrays import Array
 
 # 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.estimates.processing import (
-    Attenuated,
+    BandFit,
     attenuations,
     estimate_delay,
     fine_motion,
@@ -104,35 +104,38 @@ def _read_all(
 
 def _with_band(
     recordings: list[Measurement], chain: Joint, tables: Tables
-) -> tuple[list[Measurement], list[Part], Sequence[Attenuated]]:
+) -> tuple[list[Measurement], list[Part], Mapping[str, tuple[BandFit, BandFit]]]:
     """Filter to a band that preserves the inertia, or note that the requested one does not."""
     parts = divide(recordings, tables.processing, tables.validation)
     _check_signals(chain, fitted(parts)[1])
     attenuated = attenuations(chain, *fitted(parts), tables.processing)
     if not attenuated:
-        return recordings, parts, ()
+        return recordings, parts, {}
     if not tables.processing.chooses_band:
         return recordings, _note_attenuation(parts, attenuated), attenuated
-    narrower = {a.recording: a.narrower for a in attenuated}
+    narrower = {name: narrow.band for name, (_, narrow) in attenuated.items()}
     recordings = [replace(r, widest_band=narrower.get(r.name)) for r in recordings]
-    return recordings, divide(recordings, tables.processing, tables.validation), ()
+    return recordings, divide(recordings, tables.processing, tables.validation), {}
 
 
 def _note_attenuation(
-    parts: Sequence[Part], attenuated: Sequence[Attenuated], *, larger: float = 1.05
+    parts: Sequence[Part],
+    attenuated: Mapping[str, tuple[BandFit, BandFit]],
+    *,
+    larger: float = 1.05,
 ) -> list[Part]:
     """Note that a narrower band contradicts the requested one.
 
     If the inertia changes by less than a factor ``larger``, keep the user's bandwidth.
     """
     notes = {
-        a.recording: {
-            "band_doubted": a.band,
-            "band_narrower": a.narrower,
-            "inertia_narrower": a.larger / a.inertia,
+        name: {
+            "band_doubted": wide.band,
+            "band_narrower": narrow.band,
+            "inertia_narrower": narrow.inertia / wide.inertia,
         }
-        for a in attenuated
-        if a.larger > larger * a.inertia
+        for name, (wide, narrow) in attenuated.items()
+        if narrow.inertia > larger * wide.inertia
     }
 
     def noted(o: Observation) -> Observation:

@@ -14,8 +14,9 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, by_method, no_progress
-from bayesfric.diagnostics.explanation import Explanation, Finding, explain, too_few_outputs
-from bayesfric.diagnostics.policy import MAX_EFFECTS
+from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
+from bayesfric.diagnostics.regression import Finding
+from bayesfric.diagnostics.statistics import MAX_EFFECTS
 from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.least_squares import TotalsProjection

@@ -11,11 +11,12 @@ from scipy import stats
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.least_squares import TypicalSizes, typical_sizes
+from bayesfric.estimates.least_squares import typical_sizes
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.priors import JointPrior, as_knowledge, default_prior, read_prior
 from bayesfric.mechanism.joint import PRESETS
+from bayesfric.mechanism.quantities import TypicalSizes
 
 INF = math.inf
 

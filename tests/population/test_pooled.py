@@ -5,7 +5,8 @@ import pytest
 from scipy.integrate import quad
 
 import bayesfric as bf
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.inference.discrepancy import Discrepancy, Missing
 from bayesfric.inference.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.output_error import Sensitivities, Shooting, choose_substeps
+from bayesfric.estimates.output_error import Shooting, choose_substeps
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.noise import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
@@ -222,24 +222,24 @@ class _Recording:
         trimmed = x[..., a : a + blocks * self._factor]
         return np.asarray(trimmed.reshape(*x.shape[:-1], blocks, self._factor).mean(axis=-1))
 
-    def _state_derivatives(self, point: Array) -> Sensitivities:
-        """Positions, and their derivatives by initial position and speed."""
+    def _state_derivatives(self, point: Array) -> tuple[Array, Array]:
+        """Positions ``(n,)``, and their derivatives ``(n, 2)`` by initial position and speed."""
         span = float(np.ptp(self._shooting.measured))
         steps = (_STEP * span, _STEP * max(float(np.abs(self._states[:, 1]).max()), span))
-        return self._shooting.sensitivities(point, self._states, np.zeros(point.size), steps)
+        held = np.zeros(point.size)
+        positions, _, by_state = self._shooting.sensitivities(point, self._states, held, steps)
+        return positions, by_state
 
     def _fit_states(self, point: Array) -> None:
         """Fit the initial states to the measured positions."""
-        derivatives = self._state_derivatives(point)
-        residual = self._shooting.measured - derivatives.positions
+        positions, by_state = self._state_derivatives(point)
+        residual = self._shooting.measured - positions
         for k, (a, b) in enumerate(pairwise(self._shooting.borders)):
-            if np.isfinite(derivatives.states[a:b]).all() and np.isfinite(residual[a:b]).all():
-                self._states[k] += np.linalg.lstsq(
-                    derivatives.states[a:b], residual[a:b], rcond=_RANK
-                )[0]
+            if np.isfinite(by_state[a:b]).all() and np.isfinite(residual[a:b]).all():
+                self._states[k] += np.linalg.lstsq(by_state[a:b], residual[a:b], rcond=_RANK)[0]
 
     def _linearised(self, point: Array) -> list[_Segment]:
-        state = self._state_derivatives(point).states.T
+        state = self._state_derivatives(point)[1].T
         blocks = enumerate(self._by_torque(point))
         return [_segment(self._averaged(state, k).T, block) for k, block in blocks]
 

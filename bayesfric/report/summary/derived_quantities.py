@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.torque import typical_load, weighted_torque
+from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.priors import bound_of
@@ -169,12 +169,10 @@ def _totals(fit: Fit, *, budget: int = 25_000_000) -> Group:
         i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
     ]
     most = max(400, budget // sum(o.q.size for o in observations))
-    maps = projection.of_samples()
 
     def every(parameters: Array) -> Array:
-        pairs = zip(observations, maps, strict=True)
-        parts = [weighted_torque(fit.chain, o, weights, parameters) for o, weights in pairs]
-        return np.asarray(np.sum(parts, axis=0))
+        torques = [filtered_torque(fit.chain, o, parameters) for o in observations]
+        return projection.solve(np.concatenate(torques, axis=1).T)
 
     drawn = every(fit.chain_draws(most)) if wanted else np.empty((len(names), 1))
     described = [projection.describe(name) for name, *_ in names]

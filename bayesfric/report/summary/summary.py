@@ -11,7 +11,7 @@ from bayesfric.base import __version__
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.estimates.autoregression import PASSES, lag_one, ljung_box, predictors
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.identifiability.coverage import back_driving_shares
+from bayesfric.identifiability.friction_curve import back_driving_shares
 from bayesfric.identifiability.local import (
     LocalInformation,
     given_by,
