@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesfric.estimates.autoregression import follows
 from bayesfric.identifiability.local import torque_changes
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.target import LocalUnits, Target
 from bayesfric.mechanism import experiment

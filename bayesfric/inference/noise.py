@@ -26,7 +26,7 @@ from scipy.linalg import toeplitz
 from bayesfric.estimates import autoregression as ar
 from bayesfric.estimates.least_squares import TypicalSizes
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.inference.moments.residual_moments import Moments
+from bayesfric.inference.moments import Moments
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags, Index

@@ -6,7 +6,7 @@ import signal
 import pytest
 
 from bayesfric.commands.fit import run_lock
-from bayesfric.inference.sampling import sampling
+from bayesfric.inference import sampling
 from bayesfric.inference.target import Target
 from bayesfric.report import run_directory
 

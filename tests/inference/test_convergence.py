@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.inference.sampling.convergence import (
+from bayesfric.inference.posterior import (
     autocorrelation_time,
     effective_sample_size,
     nested_rhat,

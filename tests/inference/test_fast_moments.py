@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.torque import torque_jacobian
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.moments.fast_moments import SignRegion, fast_moments
-from bayesfric.inference.moments.linear_torque import ACCURACY, linear_torque
-from bayesfric.inference.moments.residual_moments import PlainMoments
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.linear_torque import ACCURACY, linear_torque
+from bayesfric.inference.moments import PlainMoments, SignRegion, fast_moments
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.measurement import Signal
@@ -336,7 +335,7 @@ def test_chains_without_the_form_stay_as_they_are(make_observation):
 @pytest.mark.parametrize("factor", [1, 4])
 @pytest.mark.parametrize("order", [0, 2])
 def test_borders_of_chunks_show_nowhere(make_observation, monkeypatch, factor, order):
-    from bayesfric.inference.moments import fast_moments as module
+    from bayesfric.inference import moments as module
 
     observations = knee_observations(make_observation, factor)
     monkeypatch.setattr(module, "_CHUNK", 50)

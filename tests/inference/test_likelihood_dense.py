@@ -9,9 +9,9 @@ from scipy.linalg import block_diag, null_space, toeplitz
 from scipy.signal import lsim
 
 from bayesfric.estimates.output_error import Shooting
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term

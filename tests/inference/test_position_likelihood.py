@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.output_error import Shooting
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.mechanism.scaling import scalings

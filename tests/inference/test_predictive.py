@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.predictive import Prediction, predict_held_out
+from bayesfric.inference.posterior import Prediction, predict_held_out
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.held_out import HeldOut
 from tests.report.conftest import NOISE, build

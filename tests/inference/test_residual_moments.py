@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.estimates.autoregression import follows
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.moments.residual_moments import PlainMoments
+from bayesfric.inference.moments import PlainMoments
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import bayesfric as bf
-from bayesfric.inference.likelihood.torque_likelihood import StaticFriction
+from bayesfric.inference.likelihood import StaticFriction
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs

@@ -7,7 +7,6 @@ from scipy.integrate import quad
 import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation, Finding
 from bayesfric.inference.discrepancy import Discrepancy, Missing
-from bayesfric.inference.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
 from bayesfric.problem.problem import Problem
 from tests.axis import AXIS, VALUES, swing
@@ -109,7 +108,7 @@ def test_the_population_mean_is_integrated_exactly():
     """The prior of what varies is the integral over a flat mean of independent normals."""
     target = JointTarget.__new__(JointTarget)
     theta, tau = np.array([0.3, 0.9, 0.4]), 0.35
-    target._shared, target._joint_prior = 0, JointPrior([])
+    target._shared, target.priors = 0, ()
     target._spreads, target._varying = np.array([3]), np.array([[0, 1, 2]])
     target._sds = np.full((1, 3), 0.2)
 

@@ -20,20 +20,21 @@ from threadpoolctl import threadpool_limits
 
 from bayesfric.base.options import Options
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.inference.posterior import Diagnostics, Posterior
-from bayesfric.inference.sampling.convergence import (
+from bayesfric.inference.posterior import (
     LONG_ENOUGH,
+    Diagnostics,
+    Posterior,
     autocorrelation_time,
     effective_sample_size,
     nested_rhat,
 )
-from bayesfric.inference.sampling.proposals import (
+from bayesfric.inference.proposals import (
     DifferentialEvolutionMove,
     IndependenceMove,
     MixedProposal,
     Proposal,
 )
-from bayesfric.inference.sampling.start import Start
+from bayesfric.inference.start import Start
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 
