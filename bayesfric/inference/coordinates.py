@@ -213,11 +213,11 @@ class GearboxCoordinates:
                 with_known_leg - a * self._known_leg
             ) / self._with_known_leg_torque
             # of a share and the total: D / (c_a A c_b)
-            slope = slope + (np.log(totals / (self._front_torque * self._leg_torque))).sum(axis=1)
+            slope = slope + np.log(totals / (self._front_torque * self._leg_torque)).sum(axis=1)
             slope = slope + _log_normal(shares).sum(axis=1)
             slope = slope - (self._leg.size + self._unpaired.size) * log_a
-            slope = slope - np.log(self._unpaired_torque).sum()
-            slope = slope - np.log(self._with_known_leg_torque).sum()
+            constant = np.concatenate([self._unpaired_torque, self._with_known_leg_torque])
+            slope = slope - np.log(constant).sum()
             possible = np.isfinite(slope) & np.isfinite(out).all(axis=1)
         return out, np.where(possible, slope, -np.inf)
 

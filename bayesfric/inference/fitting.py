@@ -19,7 +19,7 @@ from bayesfric.estimates.least_squares import least_squares, starting_values, ty
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.likelihood import TorqueLikelihood
-from bayesfric.inference.noise import SCALES, Autoregressive, NoiseScale, noise_of
+from bayesfric.inference.noise import SCALES, Autoregressive, Noise, NoiseScale
 from bayesfric.inference.posterior import Posterior, Prediction
 from bayesfric.inference.priors import Prior, PriorText, default_prior, read_prior
 from bayesfric.inference.sampling import Sampling, sample
@@ -158,7 +158,7 @@ def target_of(
 ) -> Target:
     """Make the log-posterior of a likelihood."""
     recordings = [o.name for o in likelihood.observations]
-    noise = noise_of(recordings, likelihood.noise.scales, priors, noise_scale)
+    noise = Noise(recordings, likelihood.noise.scales, priors, noise_scale)
     return Target(likelihood, priors, noise)
 
 

@@ -37,6 +37,7 @@ from bayesfric.inference.linear_torque import LinearTorque, linear_torque
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.observation import Observation
 
 Short = NDArray[np.int16]
@@ -354,24 +355,13 @@ def _chunks(
         phi = linear.functions(o, a, b)
         side = np.where(region.centre @ psi2 >= 0.0, 1.0, -1.0)
         raw = linear.rows(psi1, psi2, phi, np.sign(o.qd[a:b]), side)
-        raw *= o.filter.used[a:b]
         rows = np.empty((linear.size, end - start))
         rows[0] = o.measured[start:end]
-        if taps.size == 1:
-            rows[1:] = taps[0] * (raw if b - a == end - start else raw[:, starts[start:end] - a])
-        else:
-            _filter(raw, taps, starts[start:end] - a, rows[1:])
-        rows[1:] *= o.filter.gains[start:end]
+        windows = starts[start:end] - a
+        part = ParallelFilter(taps, windows, o.filter.used[a:b], o.filter.gains[start:end])
+        rows[1:] = part.apply(raw)
         yield slice(start, end), slice(a, b), psi2, phi, rows
         start = end
-
-
-@njit(cache=True)
-def _filter(raw: Array, taps: Array, starts: Index, out: Array) -> None:
-    for k in range(raw.shape[0]):
-        row = raw[k]
-        for m in range(starts.shape[0]):
-            out[k, m] = product_sum(taps, row[starts[m] : starts[m] + taps.shape[0]])
 
 
 def _union(low: Index, high: Index, n: int) -> Index:
