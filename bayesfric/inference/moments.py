@@ -82,10 +82,9 @@ def runs_of(observation: Observation, order: int) -> tuple[Short, Short, Short]:
     follows = ar.follows(observation)
     _, length = ar.runs(follows)
     age, head = ar.ages(follows, follows.size), np.repeat(length, length)
-    age, remaining, head = (
-        np.minimum(x, order).astype(np.int16) for x in (age, head - 1 - age, head)
-    )
-    return age, remaining, head
+    counts = (age, head - 1 - age, head)
+    before, after, first = (np.minimum(x, order).astype(np.int16) for x in counts)
+    return before, after, first
 
 
 def n_entries(order: int) -> int:

@@ -203,7 +203,7 @@ class _Ensembles:
         self.target, self._shape, self._random = target, positions.shape, random
         ensembles, walkers, d = positions.shape
         evolution = DifferentialEvolutionMove(ensembles)
-        moves = [(move, 1.0 - search), (evolution, search)]
+        moves: list[tuple[emcee.moves.Move, float]] = [(move, 1.0 - search), (evolution, search)]
         if target.coordinates.is_nonlinear:  # in the coordinates that suit the proposal
             proposal = move.proposal
             share = proposal.share if isinstance(proposal, MixedProposal) else 0.5
