@@ -56,7 +56,7 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy likelihood_dense moments posterior proposals sampling standstill""",
+        discrepancy likelihood_dense moments proposals sampling standstill""",
     "mechanism": """
         closed_loop quantities""",
     "population": """

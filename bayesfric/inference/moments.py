@@ -152,7 +152,8 @@ class PlainMoments:
                 tables = self.chain.tables(values[part], o.inputs)
                 residual = o.measured - o.filter.apply(kernels.inverse_many(*tables, samples))
                 for e, (m, j, k) in enumerate(entries):
-                    a, b = residual.take(m - j, axis=1), residual.take(m - k, axis=1)
+                    is_all = m.size == residual.shape[1]
+                    a, b = (residual if is_all else residual.take(m - lag, 1) for lag in (j, k))
                     flat[part, i, e] = np.einsum("vm,vm->v", a, b)
         return flat
 

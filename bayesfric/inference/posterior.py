@@ -30,9 +30,6 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.source import Processing
 
-# Independent draws from which ends of a 90 % interval are right to a tenth of a standard deviation.
-_SOUND_ESS = 400.0
-
 # A run is trusted when all ensembles together are this many autocorrelation times long, which
 # suffices to estimate that time (Goodman and Weare 2010, emcee's rule).
 LONG_ENOUGH = 50.0
@@ -67,11 +64,14 @@ class Diagnostics:
     warnings: tuple[str, ...] = ()
     max_rhat: float = 1.01  # criterion of the settings
 
-    def sound(self, rhat: Array, ess: Array) -> NDArray[np.bool_]:
-        """Flag numbers that may be reported even if others did not converge."""
+    def sound(self, rhat: Array, ess: Array, least: float = 400.0) -> NDArray[np.bool_]:
+        """Flag numbers that may be reported even if others did not converge.
+
+        From ``least`` independent draws ends of a 90 % interval are right to a tenth of a sd.
+        """
         if self.status == "reliable":
             return np.ones(rhat.shape, dtype=np.bool_)
-        return np.asarray((rhat <= self.max_rhat) & (ess >= _SOUND_ESS))
+        return np.asarray((rhat <= self.max_rhat) & (ess >= least))
 
 
 @dataclass(frozen=True)
