@@ -90,8 +90,7 @@ class Target(LogPosterior):
             (None, None) if widths is None else np.split(widths, [len(self.free)])
         )
         self.coordinates = choose_coordinates(chain, priors, model_widths)
-        low, high = [p.lower for p in noise.priors], [p.upper for p in noise.priors]
-        self._noise_coordinates = BoundedCoordinates(low, high, noise_widths)
+        self._noise_coordinates = BoundedCoordinates.of(noise.priors, noise_widths)
 
     def with_widths(self, widths: Array) -> Target:
         """Return the same target in coordinates for posterior standard deviations ``(d,)``."""
