@@ -313,12 +313,11 @@ def _candidates(
     for j, prior in enumerate(target.priors[:k]):
         outside = (rows[:, j] <= prior.lower) | (rows[:, j] >= prior.upper)
         rows[outside, j] = np.clip(rows[outside, j], *inner[:, j])
-    if likelihood.method == "input-error":
+    if isinstance(likelihood, TorqueLikelihood):
         rms = max(e.residual_rms for e in estimates if e.method == "least-squares")
         # prior draws leave a residual about as large as the torque
         measured = np.concatenate([o.measured for o in likelihood.outputs])
         unexplained = float(np.sqrt(np.mean(measured**2)))
-        assert isinstance(likelihood, TorqueLikelihood)
         columns = [likelihood.noise.quantities.index(kind) for kind in target.noise.quantities]
         candidates = np.concatenate(
             [

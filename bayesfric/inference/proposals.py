@@ -68,7 +68,7 @@ class Proposal:
     @classmethod
     def normal(cls, mean: Array, covariance: Array) -> Proposal:
         """Make one normal of mean ``(d,)`` and covariance ``(d, d)``, and a t of the same root."""
-        root = np.linalg.cholesky(covariance)
+        root = _cholesky(covariance)
         return cls(np.ones(1), mean[None], root[None], mean, root)
 
     @classmethod
@@ -89,7 +89,7 @@ class Proposal:
         # keeps the covariance of collinear coordinates positive definite
         covariance[np.diag_indices(d)] *= 1.0 + 1e-10
         covariance[np.diag_indices(d)] += 1e-300
-        root = np.linalg.cholesky(covariance)
+        root = _cholesky(covariance)
         z = (draws[:: n // most_draws + 1] - mean) @ np.linalg.inv(root).T
         # repeated positions do not count
         distinct = np.unique(z[:, 0]).size
@@ -209,7 +209,7 @@ def _maximisation(share: Array, terms: Array, d: int) -> tuple[Array, Array, Arr
     covariances[:, i, j] = covariances[:, j, i] = moments[:, d + 1 :] / moments[:, :1]
     # draws are white, so nothing cancels; the diagonal keeps a component from collapsing
     covariances += 1e-3 * np.eye(d) - means[:, :, None] * means[:, None, :]
-    return moments[:, 0] / terms.shape[1], means, np.linalg.cholesky(covariances)
+    return moments[:, 0] / terms.shape[1], means, _cholesky(covariances)
 
 
 def _expectation(normals: tuple[Array, Array, Array], terms: Array) -> tuple[Array, float]:
@@ -227,6 +227,10 @@ def _expectation(normals: tuple[Array, Array, Array], terms: Array) -> tuple[Arr
     share = np.exp(level - top)
     total = share.sum(axis=0)
     return share / total, float(np.mean(top + np.log(total)))
+
+
+def _cholesky(covariance: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
 def _accept(
