@@ -125,11 +125,11 @@ def arm_configuration(log: Path, urdf: Path, table: str | None = None) -> dict[s
     from bayesfric.arm.arm_log import layout_of
 
     joints = Arm(urdf).bodies.joints
-    layout = layout_of(log, joints, table, in_order=True)
-    variables = {"recording": layout.recording, "labels": layout.labels, "joints": list(joints)}
+    recording, labels = layout_of(log, joints, table, in_order=True)
+    variables = {"recording": recording, "labels": labels, "joints": list(joints)}
     text = _template("arm.toml.j2").render(urdf=urdf, log=log, **variables)
-    units = {f"{k}.unit": OPEN for k, v in layout.recording.items() if OPEN in str(v)}
-    held = {f"joints.{name}.held": OPEN for name in joints if name not in layout.labels}
+    units = {f"{k}.unit": OPEN for k, v in recording.items() if OPEN in str(v)}
+    held = {f"joints.{name}.held": OPEN for name in joints if name not in labels}
     return {"text": text, "open": units | held}
 
 

@@ -14,8 +14,8 @@ import pandas as pd
 
 import bayesfric as bf
 from bayesfric.arm.arm_rollout import rollout
-from bayesfric.arm.base_parameters import combinations
 from bayesfric.arm.fitted_arm import FittedArm
+from bayesfric.arm.inertial_prior import combinations
 from bayesfric.base.progress import Timer
 from bayesfric.inference.posterior import Prediction, predict_held_out
 
