@@ -54,10 +54,9 @@ def test_viscous_loss_takes_up_the_back_emfs_error(one):
 
 
 @pytest.mark.parametrize("options", [{}, {"viscous": "by-direction", "delay": True}])
-def test_which_numbers_hold_it_is_told(one, options):
-    found = fitted(**options) if options else one
-    told = found.summary.fit.back_emf
-    names = [n for n in found.summary.parameters if "viscous" in n]
-    assert told.same_as_back_emf == names
-    assert told.nominal == pytest.approx(KT**2 / R)
-    assert [a.kind for a in messages_of(found.summary)].count("back-EMF") == 1
+def test_the_viscous_losses_hold_the_error(one, options):
+    summary = fitted(**options).summary if options else one.summary
+    term = summary.fit.back_emf
+    assert list(term.same_as_back_emf) == [n for n in summary.parameters if "viscous" in n]
+    assert term.nominal == pytest.approx(KT**2 / R)
+    assert [message.kind for message in messages_of(summary)].count("back-EMF") == 1
