@@ -55,8 +55,7 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy fast_moments likelihood_dense proposals sampling
-        static_friction stiction_violations""",
+        discrepancy likelihood_dense moments proposals sampling standstill""",
     "mechanism": """
         closed_loop quantities""",
     "population": """

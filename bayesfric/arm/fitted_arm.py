@@ -31,8 +31,7 @@ from bayesfric.base import __version__
 from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.local import WIDE
-from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.posterior import Posterior, predict_held_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.rendering import render

@@ -16,7 +16,7 @@ from pydantic import Field
 from bayesfric.base.options import Options
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Replicate
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target, units_of
 from bayesfric.recordings.arrays import Array

@@ -18,9 +18,8 @@ from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, i
 from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.predictive import predict_held_out
-from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.inference.stiction_violations import StictionViolation, stiction_violations
+from bayesfric.inference.posterior import StictionViolation, predict_held_out, stiction_violations
+from bayesfric.inference.sampling import Sampling
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import add_model_error, find_doubts, put_doubts
@@ -95,7 +94,13 @@ def _conclude(
         directions += identify(start.target, posterior.median).directions
     violations: list[StictionViolation] = []
     if posterior.diagnostics.status != "unusable":
-        violations += stiction_violations(sampled, problem.recordings, tables.processing)
+        violations += stiction_violations(
+            target,
+            sampled.wide.posterior,
+            sampled.residuals,
+            problem.recordings,
+            tables.processing,
+        )
     derived = groups(sampled)
     summary = summarise(sampled, problem.references(), start.choice, derived)
     summary = add_model_error(summary, sampled, derived)

@@ -14,7 +14,7 @@ from bayesfric.fit.check_report import check
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Status
-from bayesfric.inference.sampling.sampling import sample
+from bayesfric.inference.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem, starting_point

@@ -37,7 +37,7 @@ from bayesfric.identifiability.local import (
     prior_rows,
     torque_changes,
 )
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.target import LocalUnits, Target
 from bayesfric.mechanism import experiment

@@ -17,8 +17,8 @@ from bayesfric.estimates.processing import (
     with_fine_motion,
 )
 from bayesfric.inference.fitting import read_priors
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import MAX_ORDER, Autoregressive
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term

@@ -15,8 +15,8 @@ from scipy.stats import chi2
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.fit.result import Result, result_of
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.sampling.convergence import autocorrelation
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.posterior import autocorrelation
 from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import parse_config, read_document, read_toml

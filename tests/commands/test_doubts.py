@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.before_a_fit import other_units
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.messages import messages_of
@@ -151,12 +150,6 @@ def unexplained_doubts(model):
     return [doubt for doubt in doubts if doubt["kind"] == "unexplained"]
 
 
-def test_no_other_unit_where_it_changes_nothing():
-    """A small swing of another scale has other parameters, not another torque."""
-    for model in (pendulum(spins=False), pendulum(np.pi / 180.0, spins=False), pendulum()):
-        assert other_units(model.chain, model.observations) == []
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("scale", "advised"), [(1.0, True), (np.pi / 180.0, False)])
 def test_no_delay_is_advised_while_little_is_explained(scale, advised):
@@ -196,10 +189,7 @@ def test_a_measured_swing_as_an_axis_is_not_called_late(real_data):
 def test_a_measured_pendulum_in_a_wrong_unit(real_data, unit, wrong):
     doubts = unexplained_doubts(measured_pendulum(real_data, "sac", unit, "servo-pendulum"))
     assert len(doubts) == wrong
-    for doubt in doubts:
-        (best,) = doubt["units"]
-        assert (best["is"], best["taken"]) == ("rad", "deg")
-        assert best["share"] > 0.8 > 2 * doubt["share"]
+    assert all(doubt["share"] < 0.4 for doubt in doubts)
 
 
 # -- a joint driven by a voltage

@@ -17,7 +17,7 @@ import bayesfric as bf
 from bayesfric.base.atomic_write import run_lock
 from bayesfric.base.progress import Timer
 from bayesfric.commands.fit import fit
-from bayesfric.inference.sampling import sampling
+from bayesfric.inference import sampling
 from bayesfric.inference.target import Target
 from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory

@@ -13,7 +13,7 @@ from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.estimates.torque import VariableProjection, filtered_torque, torque_form
 from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate

@@ -13,8 +13,12 @@ from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.posterior import (
+    autocorrelation_time,
+    effective_sample_size,
+    nested_rhat,
+)
 from bayesfric.inference.priors import bound_of
-from bayesfric.inference.sampling import convergence
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.quantities import quantity_of
@@ -248,5 +252,5 @@ def sound_quantities(fit: Fit, group: Group) -> Flags:
     # draws in which a quantity is undefined say nothing against it
     values = np.where(np.isfinite(values), values, middle)
     series = np.moveaxis(values.reshape(number, *draws.shape[:3]), 0, -1)
-    ess = convergence.effective_sample_size(series, convergence.autocorrelation_time(series))
-    return diagnostics.sound(convergence.nested_rhat(series), ess)
+    ess = effective_sample_size(series, autocorrelation_time(series))
+    return diagnostics.sound(nested_rhat(series), ess)

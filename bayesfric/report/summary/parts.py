@@ -24,8 +24,8 @@ from bayesfric.identifiability.friction_curve import (
     friction_torque,
 )
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.likelihood import Outputs
-from bayesfric.inference.predictive import Prediction
+from bayesfric.inference.likelihood import Outputs
+from bayesfric.inference.posterior import Prediction
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.numbers import Medium
 from bayesfric.report.summary.derived_quantities import Groups, rms_of

@@ -20,7 +20,7 @@ from bayesfric.identifiability.local import (
     verdict,
 )
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES, NoiseChoice
 from bayesfric.inference.posterior import Posterior
 from bayesfric.mechanism.quantities import TURN, effort_words

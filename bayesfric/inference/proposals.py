@@ -132,24 +132,14 @@ class MixedProposal:
     """
 
     def __init__(
-        self,
-        sampled: Proposal,
-        linear: Proposal,
-        share: float,
-        forward: Forward,
-        inverse: Inverse,
+        self, sampled: Proposal, linear: Proposal, share: float, forward: Forward, inverse: Inverse
     ) -> None:
         self.sampled, self.linear, self.share = sampled, linear, share
         self._forward, self._inverse = forward, inverse
 
     @classmethod
     def fitted(
-        cls,
-        draws: Array,
-        forward: Forward,
-        inverse: Inverse,
-        *,
-        last: bool = False,
+        cls, draws: Array, forward: Forward, inverse: Inverse, *, last: bool = False
     ) -> MixedProposal:
         """Fit both to draws ``(n, d)``, and their shares by expectation maximisation."""
         v, slope = forward(draws)

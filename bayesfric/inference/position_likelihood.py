@@ -21,10 +21,11 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.output_error import Shooting, choose_substeps
-from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
+from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
 from bayesfric.inference.noise import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
@@ -32,8 +33,6 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory
 
-# Number of averaged positions of a segment.
-_OUTPUTS = 100
 # Relative steps of the derivatives by state and torque.
 _STEP = 1e-4
 # A torque sample affects half as many samples on either side, for any interpolation.
@@ -52,11 +51,15 @@ class _Segment:
     weights: Array  # (terms,) their variances for unit torque noise
 
 
-class PositionLikelihood(Likelihood):
-    """Likelihood of the measured positions, linearised at a ``point`` ``(n_parameters,)``."""
+class PositionLikelihood:
+    """Likelihood of the measured positions, linearised at a ``point`` ``(n_parameters,)``.
 
-    method = "output-error"
+    Methods and shapes are those of :class:`bayesfric.inference.likelihood.TorqueLikelihood`.
+    """
+
+    method: LikelihoodMethod = "output-error"
     noise = POSITION_NOISE
+    slow_evaluations, fast = 0, False
 
     def __init__(
         self,
@@ -71,11 +74,19 @@ class PositionLikelihood(Likelihood):
         self.outputs = tuple(run.outputs for run in self._runs)
 
     def relinearised_at(self, values: Array) -> PositionLikelihood:
-        """See :class:`Likelihood`."""
+        """Return the same likelihood, linearised at ``(n_parameters,)``."""
         return PositionLikelihood(self.chain, self._trajectories, self.observations, values)
 
+    def subsample(self) -> PositionLikelihood:
+        """Return the likelihood itself: positions are averaged already."""
+        return self
+
+    def precomputed(self, _: Array) -> PositionLikelihood:
+        """Return the likelihood itself: simulations cannot be precomputed."""
+        return self
+
     def log_density(self, values: Array, scales: Array) -> Array:
-        """See :class:`Likelihood`; ``-inf`` if simulation fails.
+        """Log-likelihood ``(n,)``; ``-inf`` if simulation fails.
 
         Initial states are integrated out with flat priors.
         """
@@ -83,26 +94,24 @@ class PositionLikelihood(Likelihood):
         return np.where(np.isnan(total), -np.inf, total)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`; terms are independent combinations of positions."""
+        """Log densities ``(n, terms)`` a recording, of independent combinations of positions."""
         sds = [np.sqrt(run.variances(scales[:, r])) for r, run in enumerate(self._runs)]
         z = [run.terms(values) / sd for run, sd in zip(self._runs, sds, strict=True)]
-        return [
-            -0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sds, strict=True)
-        ]
+        return [stats.norm.logpdf(a) - np.log(s) for a, s in zip(z, sds, strict=True)]
 
     def predict(self, values: Array) -> list[Array]:
         """Predict averaged positions ``(n, M)`` from the best initial states, rad or m."""
         return [run.predict(values) for run in self._runs]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`."""
+        """Modelled terms with unit noise, ``(n, terms)`` a recording; ``scales`` ``(R, 2)``."""
         return [
             -run.terms(values) / np.sqrt(run.variances(scales[None, r]))
             for r, run in enumerate(self._runs)
         ]
 
     def noise_information(self, scales: Array) -> Array:
-        """See :class:`Likelihood`."""
+        """Fisher information ``(R, 2, 2)`` of noise scales ``(R, 2)``."""
         information = np.empty((len(self._runs), 2, 2))
         for r, run in enumerate(self._runs):
             torque, position = run.parts(scales[None, r])
@@ -113,14 +122,14 @@ class PositionLikelihood(Likelihood):
         return information
 
     def noise_sd(self, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`."""
+        """Return standard deviations ``(M,)`` of averaged positions a recording."""
         return [
             np.sqrt(np.concatenate([np.diag(c) for c in run.covariances(scales[r])]))
             for r, run in enumerate(self._runs)
         ]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """See :class:`Likelihood`; correlations are those at the mean scales."""
+        """Draw noise ``(n, M)`` a recording, with the correlations at the mean scales."""
         draws = []
         for r, run in enumerate(self._runs):
             # correlations hardly differ between draws
@@ -140,7 +149,7 @@ class _Recording:
 
     def __init__(self, chain: Joint, t: Trajectory, point: Array) -> None:
         lengths = np.diff(t.segments, axis=1)[:, 0]
-        self._factor = max(1, round(float(np.median(lengths)) / _OUTPUTS))
+        self._factor = max(1, round(float(np.median(lengths)) / 100))  # positions a segment
         # two states are fitted in each segment
         long = lengths >= 4 * self._factor
         t = replace(t, segments=t.segments[long], q0=t.q0[long], qd0=t.qd0[long])
@@ -157,7 +166,11 @@ class _Recording:
         small = 1e-8 * float(np.ptp(self._shooting.measured))  # below an encoder's count
         self.substeps, _ = choose_substeps(self._shooting, point, self._states, small)
         self._shooting.substeps = self.substeps
-        self._segments = self._linearised(point)
+        state = self._state_derivatives(point)[1].T
+        self._segments = [
+            _segment(self._averaged(state, k).T, by_torque)
+            for k, by_torque in enumerate(self._by_torque(point))
+        ]
         count = [s.state.shape[0] for s in self._segments]
         number = np.repeat(np.arange(len(count)), count)
         self._measured = [self._averaged(self._shooting.measured, k) for k in range(len(count))]
@@ -238,11 +251,6 @@ class _Recording:
             if np.isfinite(by_state[a:b]).all() and np.isfinite(residual[a:b]).all():
                 self._states[k] += np.linalg.lstsq(by_state[a:b], residual[a:b], rcond=_RANK)[0]
 
-    def _linearised(self, point: Array) -> list[_Segment]:
-        state = self._state_derivatives(point)[1].T
-        blocks = enumerate(self._by_torque(point))
-        return [_segment(self._averaged(state, k).T, block) for k, block in blocks]
-
     def _by_torque(self, point: Array) -> list[Array]:
         """Differentiate averaged positions by torque samples, ``(M, samples)`` a segment."""
         t = self._trajectory
@@ -256,11 +264,8 @@ class _Recording:
             samples = t.segments[running, 0] + i
             derivatives[running] = derivatives[running] @ by_state[samples].swapaxes(1, 2)
             for phase in range(_AFFECTED_SAMPLES):
-                j = (
-                    i
-                    - (i - phase + _AFFECTED_SAMPLES // 2) % _AFFECTED_SAMPLES
-                    + _AFFECTED_SAMPLES // 2
-                )
+                half = _AFFECTED_SAMPLES // 2
+                j = i + half - (i - phase + half) % _AFFECTED_SAMPLES
                 affected = lengths[running] > j
                 if j >= 0 and affected.any():
                     derivatives[running[affected], j] += by_torque[samples[affected], phase]

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesfric.estimates.autoregression import follows
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
-from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
-from bayesfric.inference.moments.residual_moments import PlainMoments
+from bayesfric.inference.moments import FastMoments, PlainMoments, fast_moments
 from bayesfric.inference.noise import Autoregressive
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
@@ -25,8 +25,22 @@ from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation
 
-# Smallest log probability of a standstill.
-_LOG_MINIMUM = -700.0
+LikelihoodMethod = Literal["input-error", "output-error"]
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """The measured outputs of one recording."""
+
+    name: str  # of the recording
+    # motor torque or force, N m or N, or joint position, rad or m
+    quantity: str
+    unit: str
+    time: Array  # (M,) s since the first stamp of the file
+    measured: Array  # (M,)
+    period: float  # s, between outputs of one segment
+    segment_of: NDArray[np.int64]  # (M,) index of its segment
+    follows: NDArray[np.bool_]  # (M - 1,) whether the next comes one period later
 
 
 class StaticFriction:
@@ -58,19 +72,22 @@ class StaticFriction:
         a, b = low - self._torque, high - self._torque
         # the tail without cancellation
         upper = a + b > 0.0
-        nearer = np.where(upper, -a, b)
-        farther = np.where(upper, -b, a)
+        nearer, farther = np.where(upper, -a, b), np.where(upper, -b, a)
         with np.errstate(all="ignore"):
             inner, outer = noise.logcdf(nearer), noise.logcdf(farther)
             log_probability = inner + np.log1p(-np.exp(np.minimum(outer - inner, 0.0)))
         # equal limits leave no probability
-        return np.asarray(np.fmax(log_probability, _LOG_MINIMUM))
+        return np.asarray(np.fmax(log_probability, -700.0))
 
 
-class TorqueLikelihood(Likelihood):
-    """Likelihood of the measured torques."""
+class TorqueLikelihood:
+    """Likelihood of the measured torques, given the joint's parameters.
 
-    method = "input-error"
+    Parameter vectors ``(n, n_parameters)`` include fixed ones, in the order of ``chain.names`` and
+    SI units; noise scales are ``(n, R, Q)``: vectors, recordings, and those of ``noise``.
+    """
+
+    method: LikelihoodMethod = "input-error"
 
     def __init__(
         self, chain: Joint, observations: Sequence[Observation], noise: Autoregressive | None = None
@@ -99,20 +116,20 @@ class TorqueLikelihood(Likelihood):
 
     @property
     def fast(self) -> bool:
-        """Whether the recordings are reduced to moments."""
+        """Whether an evaluation costs no more than the sampler's own bookkeeping."""
         return self.moments is not self._plain
 
     def subsample(self) -> TorqueLikelihood:
-        """See :class:`Likelihood`."""
+        """Return the likelihood of subsamples of long recordings."""
         subsampled = [o.excerpt() for o in self.observations]
         if all(few is o for few, o in zip(subsampled, self.observations, strict=True)):
             return self
         return TorqueLikelihood(self.chain, subsampled, self.noise)
 
     def precomputed(self, draws: Array) -> TorqueLikelihood:
-        """Return the same likelihood at a cost independent of the length of the recordings.
+        """Return the same likelihood near draws, at a cost independent of the recordings' length.
 
-        Its values are the same up to rounding, see :mod:`bayesfric.inference.moments.fast_moments`.
+        Its values are the same up to rounding, see :mod:`bayesfric.inference.moments`.
         """
         moments = fast_moments(
             self.chain, self.observations, draws, self.noise.order, plain=self._plain
@@ -128,7 +145,7 @@ class TorqueLikelihood(Likelihood):
         return self.moments.at(values).sum_of_squares
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """See :class:`Likelihood`; standstill is a separate factor."""
+        """Log-likelihood ``(n,)`` of all recordings; standstill is a separate factor."""
         moments, counts = self.moments.at(values), (self._plain.counts, self._plain.head_counts)
         total = self.noise.log_density(moments, *counts, scales)
         for r, static in enumerate(self._static):
@@ -137,7 +154,7 @@ class TorqueLikelihood(Likelihood):
         return total
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`: each output given the previous ones, without standstill."""
+        """Log densities ``(n, M)`` a recording: outputs given previous ones, without standstill."""
         return [
             np.stack(
                 [
@@ -153,7 +170,11 @@ class TorqueLikelihood(Likelihood):
         return [filtered_torque(self.chain, o, values) for o in self.observations]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`; the log probability of standstill counts as an output."""
+        """Modelled outputs with unit noise, ``(n, terms)`` a recording; ``scales`` ``(R, Q)``.
+
+        With their derivatives ``J``, ``J'J`` is the Fisher information. The log probability of
+        standstill counts as an output.
+        """
         rows = self.innovations(self.predict(values), scales)
         for r, static in enumerate(self._static):
             if static is not None:
@@ -170,15 +191,15 @@ class TorqueLikelihood(Likelihood):
         ]
 
     def noise_information(self, scales: Array) -> Array:
-        """See :class:`Likelihood`."""
+        """Fisher information ``(R, Q, Q)`` of noise scales ``(R, Q)``."""
         return np.stack(
             [self.noise.information(s, int(n)) for s, n in zip(scales, self.sizes, strict=True)]
         )
 
     def noise_sd(self, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`."""
+        """Marginal standard deviation of outputs, ``(M,)`` a recording, at scales ``(R, Q)``."""
         return [np.full(n, self.noise.sd(s)) for n, s in zip(self.sizes, scales, strict=True)]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """See :class:`Likelihood`."""
+        """Draw noise ``(n, M)`` of the outputs of each recording."""
         return [self.noise.draw(o.follows, scales[:, r], rng) for r, o in enumerate(self.outputs)]

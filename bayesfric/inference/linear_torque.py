@@ -19,12 +19,12 @@ polynomials (Berrut and Trefethen, "Barycentric Lagrange interpolation", SIAM Re
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from bayesfric.estimates.torque import Term, columns, filled_columns, torque_form
+from bayesfric.estimates.torque import Term, TorqueForm, columns, filled_columns, torque_form
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint, slots_of
 from bayesfric.mechanism.quantities import Parameter, State
@@ -144,9 +144,8 @@ class Interpolation:
         return np.asarray(weights)
 
 
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """Columns of :func:`bayesfric.estimates.torque_form.columns`, each times some functions."""
+class _Group(NamedTuple):
+    """Columns of :func:`bayesfric.estimates.torque.columns`, each times some functions."""
 
     functions: Functions
     weights: Weights
@@ -158,10 +157,9 @@ class _Group:
 class LinearTorque:
     """Columns and coefficients of a mechanism's torque, near draws ``(n, n_parameters)``."""
 
-    def __init__(self, chain: Joint, observations: Sequence[Observation], draws: Array) -> None:
-        form = torque_form(chain, any_shape=True)
-        if form is None:
-            raise ValueError("the chain's torque is not of the form of eq. (13)")
+    def __init__(
+        self, chain: Joint, form: TorqueForm, observations: Sequence[Observation], draws: Array
+    ) -> None:
         self.chain, self._draws, self._loss = chain, draws, form.loss
         self._thinned = [
             _piece(o, slice(None, None, max(1, o.q.size // 20_000))) for o in observations
@@ -410,12 +408,11 @@ def linear_torque(
 ) -> LinearTorque | None:
     """Write the torque as linear for known directions of power, if possible."""
     values = np.empty((0, len(chain.names))) if draws is None else draws
-    if torque_form(chain, any_shape=True) is None:
+    form = torque_form(chain, any_shape=True)
+    exponents = [p.quantity == "stribeck_exponent" for p in chain.parameters]
+    if form is None or (any(exponents) and np.ptp(values[:, exponents], axis=0).any()):
         return None
-    for i, p in enumerate(chain.parameters):
-        if p.quantity == "stribeck_exponent" and np.ptp(values[:, i]) > 0.0:
-            return None
-    return LinearTorque(chain, observations, values)
+    return LinearTorque(chain, form, observations, values)
 
 
 def _ones(o: Observation) -> Array:

@@ -1,12 +1,17 @@
-"""Residual moments at a cost independent of the recording's length, exactly.
+"""Sums of lagged products of torque residuals, from which Gaussian likelihoods follow.
 
-With one load-dependent friction the torque is linear except for the direction of power at the
-gearbox, eq. (13); unknown shapes, as a Stribeck velocity, add a few columns. Near the posterior
-that direction is certain for nearly all samples: with its signs at a centre, the filtered residuals
-are ``E c``, with rows ``[y, psi1, sign(qd) sigma psi2, ...]`` and the coefficients of
-:class:`bayesfric.inference.moments.linear_torque.LinearTorque`. Every moment is then ``c' Q c``.
-Samples whose sign may differ from the centre's within a region are kept, and correct the outputs
-they contribute to. Far from the posterior every sample is computed.
+White noise needs the sum of squares; autoregressive noise of order p the products of each residual
+with its p predecessors, and for the exact density of the beginning of a run those among its first p
+residuals. Then any noise scale costs a few multiplications.
+
+:class:`FastMoments` computes them at a cost independent of the recording's length, exactly. With
+one load-dependent friction the torque is linear except for the direction of power at the gearbox,
+eq. (13); unknown shapes, as a Stribeck velocity, add a few columns. Near the posterior that
+direction is certain for nearly all samples: with its signs at a centre, the filtered residuals are
+``E c``, with rows ``[y, psi1, sign(qd) sigma psi2, ...]`` and the coefficients of
+:class:`bayesfric.inference.linear_torque.LinearTorque`. Every moment is then ``c' Q c``. Samples
+whose sign may differ from the centre's within a region are kept, and correct the outputs they
+contribute to. Far from the posterior every sample is computed.
 
 Rounding. ``c' Q c`` would lose twice the digits that measured and modelled torque have in common.
 So a first pass finds coordinates ``z = A c`` in which the columns of E are nearly orthonormal, one
@@ -25,27 +30,155 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from bayesfric.inference.moments.linear_torque import LinearTorque, linear_torque
-from bayesfric.inference.moments.residual_moments import (
-    Moments,
-    PlainMoments,
-    Runs,
-    Short,
-    head_entry,
-    n_entries,
-    product_sum,
-    unpacked,
-)
+from bayesfric.estimates import autoregression as ar
+from bayesfric.inference.linear_torque import LinearTorque, linear_torque
+from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.observation import Observation
 
+Short = NDArray[np.int16]
+
+# Numbers of torque in memory at once: about a fast cache.
+_BLOCK_NUMBERS = 500_000
 # Radius of the region. Evaluations only visit samples up to their own distance, so a larger radius
 # costs memory, up to where rounding matters.
 RADIUS = 20.0
 # Raw samples in memory at once.
 _CHUNK = 16384
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Lagged products of residuals of ``n`` parameter vectors and ``R`` recordings, order ``p``.
+
+    A run is a sequence of outputs one period apart.
+    """
+
+    # (n, R, p + 1, p + 1), torque unit squared: entry j, k is the sum of r[m - j] r[m - k] over
+    # outputs m with at least p predecessors in their run
+    lagged: Array
+    # for l from 1 to p an array (n, R, l, l): entry j, k is the sum of r_j r_k over runs whose
+    # head, the first p outputs or fewer, has length l
+    heads: tuple[Array, ...]
+
+    @property
+    def sum_of_squares(self) -> Array:
+        """Sum of all squared residuals ``(n, R)``, torque unit squared."""
+        total: Array = self.lagged[..., 0, 0].copy()
+        for head in self.heads:
+            total += np.trace(head, axis1=2, axis2=3)
+        return total
+
+
+def runs_of(observation: Observation, order: int) -> tuple[Short, Short, Short]:
+    """Return the outputs before and after each ``(M,)`` in its run, and the length of its head.
+
+    None is larger than the order.
+    """
+    follows = ar.follows(observation)
+    _, length = ar.runs(follows)
+    age, head = ar.ages(follows, follows.size), np.repeat(length, length)
+    counts = (age, head - 1 - age, head)
+    before, after, first = (np.minimum(x, order).astype(np.int16) for x in counts)
+    return before, after, first
+
+
+def n_entries(order: int) -> int:
+    """Return the number of distinct moments of one vector and recording.
+
+    They are the upper triangle of ``lagged`` and then those of the heads, by rows.
+    """
+    return sum(size * (size + 1) // 2 for size in (order + 1, *range(1, order + 1)))
+
+
+def _entries(age: Short, head: Short, order: int) -> Iterator[tuple[Flags, int, int]]:
+    """Yield each moment of the flat layout as outputs ``m`` and lags of ``r[m - j] r[m - k]``."""
+    for j in range(order + 1):
+        for k in range(j, order + 1):
+            yield age == order, j, k
+    for length in range(1, order + 1):
+        for j in range(length):
+            for k in range(j, length):
+                yield (head == length) & (age == k), 0, k - j
+
+
+def unpacked(flat: Array, order: int) -> Moments:
+    """Convert the flat layout ``(n, R, n_entries)`` to moments."""
+    parts, begin = [], 0
+    for size in (order + 1, *range(1, order + 1)):
+        row, column = np.triu_indices(size)
+        full = np.empty((*flat.shape[:2], size, size))
+        full[..., row, column] = flat[..., begin : begin + row.size]
+        full[..., column, row] = flat[..., begin : begin + row.size]
+        parts.append(full)
+        begin += row.size
+    return Moments(parts[0], tuple(parts[1:]))
+
+
+class PlainMoments:
+    """Moments computed sample by sample, for every chain."""
+
+    def __init__(self, chain: Joint, observations: Sequence[Observation], order: int = 0) -> None:
+        self.chain, self.order = chain, order
+        runs = [runs_of(o, order) for o in observations]
+        # outputs with a full past, and heads (R, p) by length
+        self.counts = np.array([np.count_nonzero(age == order) for age, *_ in runs], dtype=np.int64)
+        lengths = [head[age == 0] for age, _, head in runs]
+        self.head_counts = np.stack([np.bincount(x, minlength=order + 1)[1:] for x in lengths])
+        self._recordings = [
+            (
+                o,
+                chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps),
+                [(np.flatnonzero(flags), j, k) for flags, j, k in _entries(age, head, order)],
+            )
+            for o, (age, _, head) in zip(observations, runs, strict=True)
+        ]
+
+    def at(self, values: Array) -> Moments:
+        """Compute moments at parameter vectors ``(n, n_parameters)``, SI units."""
+        return unpacked(self.flat(values), self.order)
+
+    def flat(self, values: Array) -> Array:
+        """Compute them in the flat layout ``(n, R, n_entries)``."""
+        flat = np.empty((values.shape[0], len(self._recordings), n_entries(self.order)))
+        for i, (o, samples, entries) in enumerate(self._recordings):
+            block = max(1, _BLOCK_NUMBERS // max(o.q.size, 1))
+            for start in range(0, values.shape[0], block):
+                part = slice(start, start + block)
+                tables = self.chain.tables(values[part], o.inputs)
+                residual = o.measured - o.filter.apply(kernels.inverse_many(*tables, samples))
+                for e, (m, j, k) in enumerate(entries):
+                    is_all = m.size == residual.shape[1]
+                    a, b = (residual if is_all else residual.take(m - lag, 1) for lag in (j, k))
+                    flat[part, i, e] = np.einsum("vm,vm->v", a, b)
+        return flat
+
+
+@njit(cache=True, inline="always")
+def product_sum(x: Array, y: Array) -> float:
+    """Sum of products of two arrays."""
+    # four sums are as fast as reordering by the compiler, and reproducible
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    blocks = x.shape[0] // 4 * 4
+    for k in range(0, blocks, 4):
+        a += x[k] * y[k]
+        b += x[k + 1] * y[k + 1]
+        c += x[k + 2] * y[k + 2]
+        d += x[k + 3] * y[k + 3]
+    for k in range(blocks, x.shape[0]):
+        a += x[k] * y[k]
+    return (a + b) + (c + d)
+
+
+@njit(cache=True)
+def head_entry(order: int, length: int, j: int, k: int) -> int:
+    """Return the index of ``r_j r_k``, ``j <= k``, of a head of a length in the flat layout."""
+    before = (order + 1) * (order + 2) // 2 + (length - 1) * length * (length + 1) // 6
+    return before + j * length - j * (j - 1) // 2 + k - j
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,22 +256,18 @@ class MomentMatrices(NamedTuple):
     forms: Array  # (entries, k, k) upper triangular Q: each moment is z' Q z
     # kept samples: (U,) increasing ratios; (n2, U) sigma psi2, whose product with the load
     # parameters is negative if the sign differs; (U, m) times lambda_2 and that product, the jump
-    # of the residual; kept outputs first:last that each contributes to, and its (U, most) weights;
-    # (U, (p + 1) k) times z and the jump, the first-order change of lagged products
+    # of the residual; kept outputs first:last that each contributes to, and its (U, most) weights
     ratios: Array
     signs: Array
     jumps: Array
     first: Index
     last: Index
     weights: Array
-    slopes: Array
-    # kept outputs: (M, k) rows E inv(A), and their places in runs; inner if the order reaches
-    # neither end of the run
+    # kept outputs: (M, k) rows E inv(A), and their places in runs
     rows: Array
     age: Short
     remaining: Short
     head: Short
-    inner: Flags
 
 
 def moment_matrices(
@@ -156,13 +285,13 @@ def moment_matrices(
     # at standstill the loss has no direction; unused samples do not count
     kept = _union(starts, starts + length, o.q.size)
     kept = kept[(o.qd[kept] != 0.0) & (o.filter.used[kept] != 0.0) & (ratio[kept] <= radius)]
-    runs = Runs.of(o, order)
+    age, remaining, head = runs_of(o, order)
     first_output = np.searchsorted(starts, kept - length, side="right")
     end_output = np.searchsorted(starts, kept, side="right")
     near = _union(first_output, end_output, starts.size)
     neighbours = [near]  # of the same run
     for j in range(1, order + 1):
-        neighbours += [near[runs.age[near] >= j] - j, near[runs.remaining[near] >= j] + j]
+        neighbours += [near[age[near] >= j] - j, near[remaining[near] >= j] + j]
     kept_outputs = np.unique(np.concatenate(neighbours))
 
     kept_rows = np.zeros((kept_outputs.size, size))
@@ -173,7 +302,7 @@ def moment_matrices(
     for outputs, samples, psi2, phi, rows in _chunks(linear, o, region):
         transformed = np.concatenate([before, stretch.T @ rows], axis=1)
         before = transformed[:, transformed.shape[1] - order :]
-        _add_products(sums, transformed, runs.age[outputs], runs.head[outputs], order)
+        _add_products(sums, transformed, age[outputs], head[outputs], order)
         a, b = np.searchsorted(kept_outputs, (outputs.start, outputs.stop))
         kept_rows[a:b] = transformed[:, order + kept_outputs[a:b] - outputs.start].T
         a, b = np.searchsorted(kept, (samples.start, samples.stop))
@@ -190,8 +319,7 @@ def moment_matrices(
     first = np.searchsorted(kept_outputs, first_output)
     forms = 0.5 * (sums + sums.transpose(0, 2, 1))
     by_ratio = np.argsort(ratio[kept], kind="stable")
-    age, remaining = runs.age[kept_outputs], runs.remaining[kept_outputs]
-    reduced = MomentMatrices(
+    return MomentMatrices(
         to_columns,
         np.triu(2.0 * forms) - forms * np.eye(size),  # products of different coordinates once
         ratio[kept][by_ratio],
@@ -200,15 +328,11 @@ def moment_matrices(
         first[by_ratio],
         (first + end_output - first_output)[by_ratio],
         weights[by_ratio],
-        np.zeros((kept.size, (order + 1) * size)),
         kept_rows,
-        age,
-        remaining,
-        runs.head[kept_outputs],
-        (age == order) & (remaining == order),
+        age[kept_outputs],
+        remaining[kept_outputs],
+        head[kept_outputs],
     )
-    _add_slopes(reduced)
-    return reduced
 
 
 def _chunks(
@@ -231,24 +355,13 @@ def _chunks(
         phi = linear.functions(o, a, b)
         side = np.where(region.centre @ psi2 >= 0.0, 1.0, -1.0)
         raw = linear.rows(psi1, psi2, phi, np.sign(o.qd[a:b]), side)
-        raw *= o.filter.used[a:b]
         rows = np.empty((linear.size, end - start))
         rows[0] = o.measured[start:end]
-        if taps.size == 1:
-            rows[1:] = taps[0] * (raw if b - a == end - start else raw[:, starts[start:end] - a])
-        else:
-            _filter(raw, taps, starts[start:end] - a, rows[1:])
-        rows[1:] *= o.filter.gains[start:end]
+        windows = starts[start:end] - a
+        part = ParallelFilter(taps, windows, o.filter.used[a:b], o.filter.gains[start:end])
+        rows[1:] = part.apply(raw)
         yield slice(start, end), slice(a, b), psi2, phi, rows
         start = end
-
-
-@njit(cache=True)
-def _filter(raw: Array, taps: Array, starts: Index, out: Array) -> None:
-    for k in range(raw.shape[0]):
-        row = raw[k]
-        for m in range(starts.shape[0]):
-            out[k, m] = product_sum(taps, row[starts[m] : starts[m] + taps.shape[0]])
 
 
 def _union(low: Index, high: Index, n: int) -> Index:
@@ -280,24 +393,12 @@ def _orthonormal(gram: Array, *, drop: bool) -> tuple[Array, Array]:
 
 def _add_products(sums: Array, rows: Array, age: Short, head: Short, order: int) -> None:
     """Add products of a block's rows, ``order`` previous ones first, in the flat layout."""
-    n, entry = age.size, 0
-
-    def product(places: Flags, j: int, k: int) -> Array:
-        """Sum products of the rows j and k before the flagged outputs."""
-        if not places.any():
-            return np.zeros(sums.shape[1:])
-        later = rows[:, order - j : order - j + n]
-        return (later if places.all() else later * places) @ rows[:, order - k : order - k + n].T
-
-    for j in range(order + 1):
-        for k in range(j, order + 1):
-            sums[entry] += product(age == order, j, k)
-            entry += 1
-    for length in range(1, order + 1):
-        for j in range(length):
-            for k in range(j, length):
-                sums[entry] += product((age == k) & (head == length), 0, k - j)
-                entry += 1
+    n = age.size
+    for entry, (flags, j, k) in enumerate(_entries(age, head, order)):
+        if flags.any():
+            later = rows[:, order - j : order - j + n]
+            later = later if flags.all() else later * flags
+            sums[entry] += later @ rows[:, order - k : order - k + n].T
 
 
 class FastMoments:
@@ -373,15 +474,13 @@ def _moments(
     """Compute the flat moments ``(n, n_entries)`` of each vector.
 
     A quadratic form for each entry, then the changes by kept samples whose power flows the other
-    way, and the products of outputs that both change.
+    way.
     """
     out = np.empty((z.shape[0], m.forms.shape[0]))
-    n_kept, most, batch = m.rows.shape[0], m.weights.shape[1], 128
-    # changes are listed by the first output of each sample
-    change, listed = np.zeros(n_kept + order), np.zeros(n_kept, np.bool_)
-    places = np.empty(n_kept, np.int64)
+    batch = 128
+    change, is_changed = np.zeros(m.rows.shape[0]), np.zeros(m.rows.shape[0], np.bool_)
+    changed = np.empty(m.rows.shape[0], np.int64)
     level, flipped = np.empty(batch), np.empty(batch, np.int64)
-    correction, slope = np.empty(order + 1), np.empty(m.slopes.shape[1])
     for v in range(z.shape[0]):
         vector = z[v]
         for e in range(m.forms.shape[0]):
@@ -389,8 +488,7 @@ def _moments(
             for j in range(vector.size):
                 total += vector[j] * product_sum(m.forms[e, j], vector)
             out[v, e] = total
-        n_listed = 0
-        slope[:] = 0.0
+        n_changed = 0
         for i0 in range(0, n_candidates[v], batch):
             n = min(batch, n_candidates[v] - i0)
             levels = level[:n]
@@ -407,63 +505,33 @@ def _moments(
             for i in flipped[:n_flipped]:
                 s = i0 + i
                 jump = product_sum(m.jumps[s], lambda2[v]) * levels[i]
-                row = m.slopes[s]
-                for k in range(slope.size):
-                    slope[k] += jump * row[k]
-                a, b = m.first[s], m.last[s]
-                changes, weight = change[a:b], m.weights[s, : b - a]
-                for k in range(b - a):
-                    changes[k] += weight[k] * jump
-                if not listed[a]:
-                    listed[a] = True
-                    places[n_listed] = a
-                    n_listed += 1
-        for h in range(order + 1):
-            correction[h] = product_sum(slope[h * vector.size : (h + 1) * vector.size], vector)
-        for a in places[:n_listed]:
-            # up to the next place in the list, whose outputs follow
-            b = a + 1
-            while b < min(a + most, n_kept) and not listed[b]:
-                b += 1
-            for k in range(a, b):
-                if m.inner[k]:
-                    for h in range(order + 1):
-                        correction[h] += change[k] * change[k + h]
-                elif change[k] != 0.0:
-                    for h in range(1, m.remaining[k] + 1):
-                        if m.inner[k + h]:
-                            correction[h] += change[k] * change[k + h]
-                    _correct_edge(m, k, order, vector, change, out[v])
-        entry = 0
-        for j in range(order + 1):
-            for h in range(order + 1 - j):
-                out[v, entry] += correction[h]
-                entry += 1
-        for a in places[:n_listed]:
-            listed[a] = False
-            for k in range(a, min(a + most, n_kept)):
-                change[k] = 0.0
+                for k in range(m.first[s], m.last[s]):
+                    change[k] += m.weights[s, k - m.first[s]] * jump
+                    if not is_changed[k]:
+                        is_changed[k] = True
+                        changed[n_changed] = k
+                        n_changed += 1
+        for k in changed[:n_changed]:
+            _add_change(m, k, order, vector, change, out[v])
+        for k in changed[:n_changed]:
+            change[k], is_changed[k] = 0.0, False
     return out
 
 
 @njit(cache=True)
-def _correct_edge(
-    m: MomentMatrices, x: int, order: int, z: Array, change: Array, out: Array
-) -> None:
-    """Add a changed output's effect on products with others at a run's edge.
+def _add_change(m: MomentMatrices, x: int, order: int, z: Array, change: Array, out: Array) -> None:
+    """Add a changed output's effect on products with others of its run.
 
     A pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the change of
     the earlier is combined with the other's new residual. It counts in entry ``j, k`` if the output
     j periods after y exists and has a full past.
     """
     for y in range(x - m.age[x], x + m.remaining[x] + 1):
-        if m.inner[y]:
-            continue
         value = product_sum(m.rows[y], z)
+        if y == x:
+            value *= 2.0
         if y >= x:
             value += change[y]
-        if y == x:
-            value += product_sum(m.rows[x], z)
         value *= change[x]
         earlier, later = min(x, y), max(x, y)
         entry = later - earlier
@@ -473,22 +541,3 @@ def _correct_edge(
             entry += order + 1 - j
         if m.age[later] < m.head[later]:
             out[head_entry(order, m.head[later], m.age[earlier], m.age[later])] += value
-
-
-@njit(cache=True)
-def _add_slopes(m: MomentMatrices) -> None:
-    """Sum the first-order change of lagged products by each kept sample's jump.
-
-    Pairs of outputs at the edge of a run are excluded.
-    """
-    size = m.rows.shape[1]
-    for s in range(m.first.size):
-        for k in range(m.first[s], m.last[s]):
-            weight = m.weights[s, k - m.first[s]]
-            for h in range(m.slopes.shape[1] // size):
-                slope = m.slopes[s, h * size : (h + 1) * size]
-                for other in (k - h, k + h):
-                    exists = m.remaining[k] >= h if other >= k else m.age[k] >= h
-                    if exists and (m.inner[k] or m.inner[other]):
-                        for j in range(size):
-                            slope[j] += weight * m.rows[other, j]

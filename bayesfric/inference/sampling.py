@@ -20,20 +20,21 @@ from threadpoolctl import threadpool_limits
 
 from bayesfric.base.options import Options
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.inference.posterior import Diagnostics, Posterior
-from bayesfric.inference.sampling.convergence import (
+from bayesfric.inference.posterior import (
     LONG_ENOUGH,
+    Diagnostics,
+    Posterior,
     autocorrelation_time,
     effective_sample_size,
     nested_rhat,
 )
-from bayesfric.inference.sampling.proposals import (
+from bayesfric.inference.proposals import (
     DifferentialEvolutionMove,
     IndependenceMove,
     MixedProposal,
     Proposal,
 )
-from bayesfric.inference.sampling.start import Start
+from bayesfric.inference.start import Start
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 
@@ -186,7 +187,10 @@ def _run_until_converged(
 
 
 class _Ensembles:
-    """Several independent ensembles in one emcee sampler, see :func:`_moves`."""
+    """Several independent ensembles in one emcee sampler.
+
+    Differential evolution, in addition to a move, has a share ``search`` among the steps.
+    """
 
     def __init__(
         self,
@@ -198,7 +202,13 @@ class _Ensembles:
     ) -> None:
         self.target, self._shape, self._random = target, positions.shape, random
         ensembles, walkers, d = positions.shape
-        moves = _moves(target, move, search, ensembles)
+        evolution = DifferentialEvolutionMove(ensembles)
+        moves: list[tuple[emcee.moves.Move, float]] = [(move, 1.0 - search), (evolution, search)]
+        if target.coordinates.is_nonlinear:  # in the coordinates that suit the proposal
+            proposal = move.proposal
+            share = proposal.share if isinstance(proposal, MixedProposal) else 0.5
+            linear = DifferentialEvolutionMove(ensembles, target.to_linear, target.from_linear)
+            moves[1:] = [(evolution, search * (1.0 - share)), (linear, search * share)]
         self._sampler = emcee.EnsembleSampler(
             ensembles * walkers, d, target, moves=moves, vectorize=True
         )
@@ -264,26 +274,6 @@ class _Ensembles:
         quarters = np.array_split(self.chain(self.steps // 2), 2, axis=2)
         before, after = (x.reshape(-1, self._shape[2]).std(axis=0) for x in quarters)
         return not (climbing or np.abs(np.log(after / before)).max() > 0.2)
-
-
-def _moves(
-    target: Target, move: IndependenceMove, search: float, ensembles: int
-) -> list[tuple[emcee.moves.Move, float]]:
-    """Add differential evolution to a move, in the coordinates that suit its proposal.
-
-    ``search`` is its share among the steps.
-    """
-    evolution = DifferentialEvolutionMove(ensembles)
-    if not target.coordinates.is_nonlinear:
-        return [(move, 1.0 - search), (evolution, search)]
-    proposal = move.proposal
-    share = proposal.share if isinstance(proposal, MixedProposal) else 0.5
-    linear = DifferentialEvolutionMove(ensembles, target.to_linear, target.from_linear)
-    return [
-        (move, 1.0 - search),
-        (evolution, search * (1.0 - share)),
-        (linear, search * share),
-    ]
 
 
 def _fit_proposal(target: Target, draws: Array, *, last: bool) -> Proposal | MixedProposal:
