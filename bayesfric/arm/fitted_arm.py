@@ -305,6 +305,5 @@ def _cell(row: PosteriorRow | None) -> tuple[str, str]:
     """Format a number with its status, and its interval with the unit."""
     if row is None:
         return TEXT.none, ""
-    printed = printed_row("", row.reported, row.unit, row.level)
-    value, interval = (printed.value, printed.status), (printed.interval, printed.unit)
-    return " ".join(value).strip(), " ".join(interval).strip()
+    _, value, _, interval, unit, status = printed_row("", row.reported, row.unit, row.level)
+    return f"{value} {status}".strip(), f"{interval} {unit}".strip()

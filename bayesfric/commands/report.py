@@ -46,15 +46,13 @@ def _for_paper(
 ) -> list[str]:
     """Add LaTeX texts, and draw figures; return their files."""
     from bayesfric.fit.result import Result
-    from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.run_directory import draw
 
     progress(Progress("recordings"))
     result = Result.read(run)
-    fit, summary = result.fit, result.summary
-    texts |= latex_texts(summary, name)
+    texts |= latex_texts(result.summary, name)
     with add_files(run / "figures") as folder:
-        draw(folder, FinishedRun(fit, summary), IN_PAPER, progress)
+        draw(folder, result.fit, result.summary, IN_PAPER, progress)
         files = sorted(folder.iterdir())
     return [f"figures/{file.name}" for file in files]

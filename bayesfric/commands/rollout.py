@@ -15,8 +15,8 @@ from bayesfric.commands.report import report
 from bayesfric.report.figures.prediction import rollout_figure
 from bayesfric.report.figures.registry import ROLL_OUT, read_captions
 from bayesfric.report.figures.style import save
-from bayesfric.report.messages import roll_out_messages
 from bayesfric.report.summary.record import read_summary_file
+from bayesfric.report.terminal import roll_out_messages
 from bayesfric.report.words import filled, line_of
 from bayesfric.results.roll_out import RollOutPart
 from bayesfric.rollouts.rollout import rollout as played

@@ -25,7 +25,6 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.readers import sha256
 from bayesfric.report.summary.record import Summary, read_summary_file
-from bayesfric.report.terminal import PrintedSummary
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -271,7 +270,7 @@ def summary(posterior: Any) -> Summary:
         Every number with its verdict; ``frame`` is its table; it shows as on a terminal.
     """
     if isinstance(posterior, str | Path):
-        return PrintedSummary.read(read_summary_file(Path(posterior)), str(posterior))
+        return Summary.read(read_summary_file(Path(posterior)), str(posterior))
     return result_of(posterior).summary
 
 

@@ -12,7 +12,7 @@ from bayesfric.fit.model import Model
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.summary.doubts import _accelerates, find_doubts
-from bayesfric.report.summary.record import FindingRow, Summary
+from bayesfric.report.summary.record import Message, Summary
 from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
 
@@ -165,7 +165,7 @@ def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):
 def test_what_a_finding_moves_is_doubted_and_a_note_doubts_nothing(severity):
     told = {key: MISSING[key] for key in ("share", "p", "parameters", "hint", "shape")}
     moves = {"a.b": 2.0}
-    one = FindingRow(kind="delay", severity=severity, statistic=9.0, moves=moves, **told)
+    one = Message(kind="delay", severity=severity, statistic=9.0, moves=moves, **told)
     rows = {"a.b": row(1.0, 0.9, 1.1), "a.c": row(1.0, 0.9, 1.1)}
     summary = summary_of(rows).model_copy(update={"findings": [one]})
     found = find_doubts(_Fit(), summary, {})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.report.messages import messages_of
+from bayesfric.report.terminal import messages_of
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 

@@ -5,7 +5,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.export.exported import export
-from bayesfric.report.messages import messages_of
+from bayesfric.report.terminal import messages_of
 from tests.axis import AXIS, VALUES
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

@@ -42,7 +42,7 @@ TORQUE = {
 FOUND = {
     **{"kind": "spring", "severity": "doubt", "parameters": ["motor.viscous"], "p": 1 / 61},
     **{"hint": "mechanism.load.spring = true", "statistic": 9.0, "share": 0.123},
-    "moves": {"motor.viscous": 2.0},
+    **{"moves": {"motor.viscous": 2.0}, "shape": "", "rivals": []},
 }
 
 

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from bayesfric.report.comparison.between_runs import RunDraws, between_runs, between_runs_csv
+from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
 from bayesfric.report.page.pages import Provenance, shared_recordings
 from bayesfric.report.summary.record import Summary
 
@@ -52,7 +52,7 @@ def test_a_run_whose_prior_has_a_say_counts_by_its_draws_only():
     row, rng = runs["c"].parameters["motor.viscous"], np.random.default_rng(1)
     drawn = {"motor.viscous": row.mean + row.sd * rng.standard_normal(4000)}
     prior = {"motor.viscous": row.mean + rng.standard_normal(2000)}
-    for draws, expected in ((None, {"a", "b"}), ({"c": RunDraws(drawn, prior)}, {"a", "b", "c"})):
+    for draws, expected in ((None, {"a", "b"}), ({"c": (drawn, prior)}, {"a", "b", "c"})):
         pooled = {quantity.name: quantity for quantity in between_runs(runs, draws)}
         assert set(pooled["motor.viscous"].runs) == expected
 

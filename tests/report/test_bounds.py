@@ -1,6 +1,7 @@
 """A posterior that a bound holds: told with the mend, and the mend mends it."""
 
 import copy
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -26,15 +27,15 @@ VISCOUS = AXIS.values["motor.viscous"]
 @pytest.fixture(scope="module")
 def summaries(make_observation):
     """Return the same axis with a range that ends below the truth, and with one that does not."""
-    chain = AXIS.chain()
+    joint = AXIS.chain()
     values = AXIS.values | {"motor.coulomb": 0.0}
     # of this noise the least-squares value of the loss that is not there is about zero
-    observation = make_observation(chain, values, sigma=0.05, n=2000, seed=5)
+    observation = make_observation(joint, values, sigma=0.05, n=2000, seed=5)
 
     def summary(upper):
         told = {"motor.viscous": [0.0, upper], "motor.coulomb": [0.0, 20.0]}
-        priors = read_priors(chain, told, [observation])
-        target = make_target(chain, [observation], priors, "shared")
+        priors = read_priors(joint, told, [observation])
+        target = make_target(joint, [observation], priors, "shared")
         return summarise(
             fit(target, Sampling(seed=2, min_ess=400, walkers=24, ensembles=2))
         ).as_dict()
@@ -63,7 +64,9 @@ def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
         row = summary["parameters"]["motor.coulomb"]
         if summary is summaries["wide"]:
             assert (row["at_bound"], row["bound"], row["bound_physical"]) == ("lower", 0.0, True)
-            (printed,) = (r for r in parameter_table(summary).rows if r.name == "motor.coulomb")
+            (printed,) = (
+                r for r in parameter_table(summary)["parameter"] if r.name == "motor.coulomb"
+            )
             assert "cannot distinguish it from 0 N m" in printed.hint
         assert not any(text.startswith("motor.coulomb") for text in summary["warnings"])
 
@@ -136,9 +139,9 @@ def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, status
     problem = "the ensembles disagree on motor.viscous: raise sampling.max_steps"
     summary["sampler"] |= {"status": status, "problems": [problem]}
     names = {*summary["parameters"], *summary["derived"]}
-    lost = set(brief(summary).lost)
+    lost = set(brief(summary)["lost"])
     assert {"motor.viscous", "motor.coulomb"} <= lost <= names - set(sound)
-    for row in parameter_table(summary).rows:
+    for row in chain.from_iterable(parameter_table(summary).values()):
         assert row.converged == (row.name in sound)
     for name, cell in result_rows(summary).items():
         assert (cell.interval is not None) == (name in sound)

@@ -17,8 +17,8 @@ from bayesfric.report.comparison.comparison import (
     comparison_dict,
     comparison_text,
 )
-from bayesfric.report.messages import messages_of
 from bayesfric.report.result_row import result_rows
+from bayesfric.report.terminal import messages_of
 
 from .made_summaries import DERIVED, LEG, MOTOR, TOTALS, estimated, knee, loaded, posterior_row
 

@@ -8,7 +8,7 @@ from matplotlib import pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
-from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
+from bayesfric.report.figures.registry import RUN_FIGURES
 from bayesfric.report.figures.style import COLUMN, PAGE, mathtext, paper_style, save
 from bayesfric.report.summary.summary import summarise
 
@@ -71,8 +71,8 @@ def fonts_embedded(pdf, width):
 def test_figures_for_papers(stem, which, request, tmp_path):
     """Printed size, nothing cut off or on top of each other, TrueType fonts, units, same bytes."""
     fit = request.getfixturevalue(which)
-    run = FinishedRun(fit, summarise(fit))
-    figure = RUN_FIGURES[stem].draw(run)
+    run = fit, summarise(fit)
+    figure = RUN_FIGURES[stem].draw(*run)
     assert figure.get_figwidth() in (COLUMN, PAGE)
     assert figure.get_figheight() <= 9.2
     nothing_cut_off(figure, upright=which != "knee")
@@ -88,7 +88,7 @@ def test_figures_for_papers(stem, which, request, tmp_path):
     # what may differ from one drawing to the next differs in all formats; this is the fastest
     with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
         before = dict(matplotlib.rcParams)
-        save(RUN_FIGURES[stem].draw(run), tmp_path, "again", ("svg",))
+        save(RUN_FIGURES[stem].draw(*run), tmp_path, "again", ("svg",))
         assert dict(matplotlib.rcParams) == before
     assert (tmp_path / "again.svg").read_bytes() == (tmp_path / f"{stem}.svg").read_bytes()
     assert pyplot.get_fignums() == []

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from bayesfric.export.point_estimate import open_scalings
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.numbers import TEXT
-from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import loaded, posterior_row
@@ -48,7 +48,7 @@ def test_at_its_bound_a_number_of_a_told_scale_is_a_limit_and_no_interval():
     at_zero = {"at_bound": "lower", "bound": 0.0, "bound_physical": True, "interval": [0.0, 0.02]}
     read = weighed(motor__inertia=at_zero)
     assert read.parameters["motor.inertia"].given_by == ["load.first_moment"]
-    row = next(r for r in parameter_table(read).rows if r.name == "motor.inertia")
+    row = result_rows(read)["motor.inertia"]
     assert (row.status, row.limit) == ("limit", 0.02)
     assert row.verdict == "data and prior, on one side"
     assert row.shown(TEXT) == ("≤ 0.02", "–")

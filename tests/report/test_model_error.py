@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.discrepancy import Discrepancy
-from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
-from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.figures.registry import RUN_FIGURES
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import add_model_error
@@ -46,15 +45,14 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
 
 def test_figures_show_what_the_tables_print(wrong):
     """Densities of the widened draws, their dotted ends the tables' intervals."""
-    run = FinishedRun(wrong.fit, wrong.summary)
-    figure = RUN_FIGURES["corner"].draw(run)
+    figure = RUN_FIGURES["corner"].draw(wrong.fit, wrong.summary)
     row = wrong.summary.parameters[NAME]
-    table = {r.name: r for r in parameter_table(wrong.summary).rows}
+    interval = result_rows(wrong.summary)[NAME].interval
     found = []
     for ax in figure.axes:
         fills = [p for p in ax.patches if p.get_gid() == "posterior"]
         ends = [x.get_xdata()[0] for x in ax.lines if x.get_linewidth() == 0.7]
-        if fills and len(ends) == 2 and np.allclose(sorted(ends), table[NAME].interval, rtol=1e-9):
+        if fills and len(ends) == 2 and np.allclose(sorted(ends), interval, rtol=1e-9):
             values, edges, _ = fills[0].get_data()
             middles = 0.5 * (edges[1:] + edges[:-1])
             mean = np.average(middles, weights=values)

@@ -10,7 +10,7 @@ from bayesfric.report.summary.record import Summary
 @pytest.mark.parametrize(("p_value", "white"), [(0.011, False), (0.038, False), (0.06, True)])
 def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_value, white):
     monkeypatch.setattr(summary, "ljung_box", lambda *_: p_value)
-    assert summary.summarise(knee).noise.innovation_whiteness.white == white
+    assert summary.summarise(knee).noise.innovation_whiteness["white"] == white
 
 
 @pytest.mark.parametrize(("lag", "times"), [(0.8, 3.0), (0.02, None)])

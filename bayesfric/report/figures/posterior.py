@@ -198,20 +198,13 @@ _MARKER: Look = {
 }  # fmt: skip
 
 
-class Ridge(NamedTuple):
-    """The line of equal torque through a posterior's median."""
-
-    scaling: Scaling  # what is multiplied together
-    # smallest and largest factor, `1/alpha_2 <= k <= 1/alpha_1`; the smallest is zero where `mu_2`
-    # is one or more
-    bounds: tuple[float, float]
-    line: Array  # `(101, n_parameters)` vectors from one end to the other
-
-
-def ridge(fit: Fit) -> Ridge | None:
+def ridge(fit: Fit) -> tuple[Scaling, tuple[float, float], Array] | None:
     """Follow the first scaling of a fit's chain through the posterior's median.
 
-    ``None`` for a chain without an element with load-dependent friction by direction.
+    Give what is multiplied together, the smallest and largest factor
+    ``1/alpha_2 <= k <= 1/alpha_1`` (zero where ``mu_2`` is one or more), and the line of equal
+    torque ``(101, n_parameters)`` from one end to the other. ``None`` for a chain without an
+    element with load-dependent friction by direction.
     """
     if not (known := scalings(fit.chain)):
         return None
@@ -219,7 +212,7 @@ def ridge(fit: Fit) -> Ridge | None:
     low, high = known[0].bounds(median)
     # where nothing ends the line (mu_2 of one or more) it is drawn down to a twentieth
     factors = np.geomspace(max(low, 0.05 * high), high, 101)
-    return Ridge(known[0], (low, high), known[0].scaled(median, factors))
+    return known[0], (low, high), known[0].scaled(median, factors)
 
 
 def ridge_figure(fit: Fit) -> Figure | None:
@@ -231,14 +224,15 @@ def ridge_figure(fit: Fit) -> Figure | None:
     """
     if (known := ridge(fit)) is None:
         return None
-    element = known.scaling.element
+    scaling, bounds, along = known
+    element = scaling.element
     # those of the load come last, and are of most interest
-    names = [*known.scaling.behind[:-3:-1], f"{element}.alpha_back"]
+    names = [*scaling.behind[:-3:-1], f"{element}.alpha_back"]
     with np.errstate(divide="ignore", invalid="ignore"):  # an irreversible gearbox has no alpha_2
-        draws, line = (_values(fit.chain, v) for v in (fit.chain_draws(1500), known.line))
+        draws, line = (_values(fit.chain, v) for v in (fit.chain_draws(1500), along))
     ends = [
         (k, marker, rf"end $\alpha_{i} = 1$, $k = 1/\alpha_{i} = {factor:.2f}$")
-        for k, marker, i, factor in zip((0, -1), "s^", (2, 1), known.bounds, strict=True)
+        for k, marker, i, factor in zip((0, -1), "s^", (2, 1), bounds, strict=True)
         if factor > 0.0
     ]
     with style.paper_figure(PAGE, 2.7) as figure:

@@ -215,13 +215,14 @@ def _missing(summary: Summary, of_data: Sequence[str]) -> Iterator[dict[str, Any
     finding to first order: what it moves by more than half of itself is doubted all the same.
     """
     for finding in summary.findings:
-        of = [name for name in of_data if name in finding.moves and not of_recording(finding.kind)]
+        moves = {} if of_recording(finding.kind) else finding.values["moves"]
+        of = [name for name in of_data if name in moves]
         if finding.severity == "note":
-            of = [name for name in of if _far(summary.rows[name], finding.moves[name])]
+            of = [name for name in of if _far(summary.rows[name], moves[name])]
             if not of:
                 continue
-        message = finding.message("missing", severity="doubt", of=of or list(of_data))
-        yield {key: x for key, x in message.items() if key != "parameters"}
+        message = finding.of_kind("missing", severity="doubt", of=of or list(of_data))
+        yield message.model_dump(exclude={"parameters", "remark"})
 
 
 def _far(row: PosteriorRow, move: float, *, first_order: float = 0.5) -> bool:

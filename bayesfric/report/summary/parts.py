@@ -7,7 +7,7 @@ changed nothing (``studies/replication``). Intervals that miss the truth too oft
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,6 @@ from bayesfric.report.numbers import Medium
 from bayesfric.report.summary.derived_quantities import Groups, rms_of
 from bayesfric.report.summary.record import (
     Coverage,
-    Discrepancy,
     Friction,
     FrictionRow,
     HeldOut,
@@ -104,8 +103,8 @@ def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) ->
     share, off = shares[LEVEL], _discrepancy(residual**2 - variance, at)
     verdict = _verdict(share, off)
     words = {"covers": share.text, "effective": share.effective_outputs}
-    if off.interval[0] > 0.0:
-        words["beyond"] = f"{off.value:.3g} {outputs.unit}"
+    if off["interval"][0] > 0.0:
+        words["beyond"] = f"{off['value']:.3g} {outputs.unit}"
     return HeldOut(
         held_out=part,
         outputs=residual.size,
@@ -118,24 +117,24 @@ def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) ->
     )
 
 
-def _discrepancy(excess: Array, at: NDArray[np.int64]) -> Discrepancy:
+def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     """Root of the mean squared residual beyond the predictive variance, with its interval."""
     mean = float(excess.mean())
     error = math.sqrt(long_run_variance(excess - mean, at)) / excess.size
     reach = float(ndtri(0.5 + LEVEL / 2.0)) * error
     low, value, high = (math.sqrt(max(x, 0.0)) for x in (mean - reach, mean, mean + reach))
-    return Discrepancy(value=value, interval=[low, high], level=LEVEL)
+    return {"value": value, "interval": [low, high], "level": LEVEL}
 
 
 def _verdict(
-    share: Coverage, discrepancy: Discrepancy, *, passes: tuple[float, float] = (0.85, 0.95)
+    share: Coverage, discrepancy: Mapping[str, Any], *, passes: tuple[float, float] = (0.85, 0.95)
 ) -> str:
     """Judge by the coverage of the intervals, and whether it ``passes``."""
     low, high = passes
     if low <= share.share <= high:
         return "covered"
     # too few are inside, and what is outside is too far out: then both say the same
-    beyond = share.share < low and discrepancy.interval[0] > 0.0
+    beyond = share.share < low and discrepancy["interval"][0] > 0.0
     if not beyond and abs(share.share - LEVEL) <= _SURE * share.standard_error:
         return "undecided"
     return "too wide" if share.share > high else "model discrepancy"

@@ -266,7 +266,10 @@ def of_noise(name: str) -> bool:
 
 
 class Message(Part):
-    """What to know before using a number; further keys fill the words of its kind."""
+    """What to know before using a number; further keys fill the words of its kind.
+
+    A finding has those of :class:`bayesfric.diagnostics.explanation.Finding`.
+    """
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
@@ -274,6 +277,16 @@ class Message(Part):
     severity: Literal["note", "doubt"] = "doubt"
     parameters: list[str] = []  # which it makes doubtful
     remark: str = ""  # its text, where that is not made of the kind's words
+
+    def of_kind(self, kind: str, **changes: Any) -> Message:
+        """Say something else about the same finding."""
+        values = self.model_dump(exclude={"remark"}) | {"what": self.kind}
+        return Message.model_validate({**values, "kind": kind, **changes})
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Further keys."""
+        return self.model_extra or {}
 
     @property
     def text(self) -> str:
@@ -290,7 +303,7 @@ class Message(Part):
         """Section of the page that says more; may be empty."""
         if self.kind in ("missing", "put in"):
             return "model-error"
-        return words_of(self.kind).section
+        return words_of(self.kind).get("section", "")
 
     @property
     def brief(self) -> str:
@@ -300,26 +313,6 @@ class Message(Part):
         return {"sampler": line_of("sampler"), "warning": self.remark.split(";")[0]}.get(
             self.kind, self.text
         )
-
-
-class FindingRow(Message):
-    """What may be missing, as :class:`bayesfric.diagnostics.explanation.Finding` has it."""
-
-    severity: Literal["note", "doubt"]
-    p: Share
-    hint: str = ""  # line of a configuration that would add it
-    statistic: FiniteFloat
-    shape: str = ""
-    share: NotNegative = 0.0
-    rivals: list[str] = []
-    moves: dict[Name, FiniteFloat] = {}
-    physical: bool = True
-    recording: str = ""
-    span: Pair | None = None
-
-    def message(self, kind: str, **changes: Any) -> dict[str, Any]:
-        """Give a message of another kind about this finding."""
-        return self.model_dump(exclude={"remark"}) | {"kind": kind, "what": self.kind} | changes
 
 
 # -- estimates, noise and likelihood
@@ -345,26 +338,11 @@ class Likelihood(Part):
     linearisation: FiniteFloat | None = None
 
 
-class NullDirection(Part):
-    """Parameters that change together without changing any predicted torque."""
-
-    parameters: dict[Name, FiniteFloat] = {}
-    meaning: str
-
-
 class Identifiability(Part):
     """What no recording of this kind can determine."""
 
-    null_directions: list[NullDirection] = []
+    null_directions: list[dict[str, Any]] = []  # exponents of `parameters`, and the `meaning`
     directions: list[OpenDirection] = []
-
-
-class Whiteness(Part):
-    """Whether what the noise model does not predict passes as white."""
-
-    test: str = ""
-    p_value: FiniteFloat | None = None
-    white: bool
 
 
 class Noise(Part):
@@ -376,31 +354,12 @@ class Noise(Part):
     accounts_for_correlation: bool | None = None
     residual_lag1: FiniteFloat | None = None
     innovation_lag1: FiniteFloat | None = None
-    innovation_whiteness: Whiteness | None = None
+    innovation_whiteness: dict[str, Any] | None = None  # `test`, its `p_value`, and if `white`
     autoregression: dict[Name, list[FiniteFloat]] = {}
     order_chosen_from: list[dict[str, Any]] = []  # evidence for each order
     # partial autocorrelations that priors are around, and how far from these they reach
     memory: list[FiniteFloat] = []
     room: NotNegative = 0.0
-
-
-class RecordingRow(Part):
-    """How one recording was processed, and what is left of it; it keeps further keys."""
-
-    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
-
-    residual_rms: NotNegative | None = None
-    residual_lag1: FiniteFloat | None = None
-    outputs: int | None = None
-    sampling_rate: FiniteFloat | None = None
-    lowpass: FiniteFloat | None = None
-    band: FiniteFloat | None = None
-    decimate: int | None = None
-    n_samples: int | None = None
-    n_segments: int | None = None
-    dropped_trim: int | None = None
-    dropped_excluded: int | None = None
-    dropped_dead_zone: int | None = None
 
 
 class Residual(Part):
@@ -414,7 +373,7 @@ class Residual(Part):
     torque_constant: FiniteFloat | None = None
     back_emf: SpeedTerm | None = None  # where a torque comes from a voltage
     rests: list[StictionViolation] = []  # standstills that were not used
-    recordings: dict[Name, RecordingRow] = {}
+    recordings: dict[Name, dict[str, Any]] = {}  # how each was processed, and what is left of it
 
 
 class Sampler(Part):
@@ -455,14 +414,6 @@ class Coverage(Part):
         return f"{100 * self.share:.1f} ± {100 * self.standard_error:.1f} %"
 
 
-class Discrepancy(Part):
-    """By how much outputs are off beyond what noise and posterior explain."""
-
-    value: FiniteFloat
-    interval: Pair
-    level: FiniteFloat = LEVEL
-
-
 class HeldOut(Part):
     """How well one held-out part, or all of them, was predicted."""
 
@@ -471,7 +422,8 @@ class HeldOut(Part):
     coverage: dict[str, Coverage]
     residual_rms: NotNegative
     predictive_sd: NotNegative | None = None
-    discrepancy: Discrepancy | None = None
+    # by how much outputs are off beyond what noise and posterior explain: value, interval, level
+    discrepancy: dict[str, Any] | None = None
     verdict: str
     says: str
 
@@ -586,17 +538,25 @@ class Summary(Part):
     model_error: ModelError | None = None
     rollout: RollOutPart | None = None
     doubts: list[Message] = []
-    findings: list[FindingRow] = []
-    taken: list[FindingRow] = []  # by terms = "auto"
+    findings: list[Message] = []
+    taken: list[Message] = []  # by terms = "auto"
     regression: RegressionPart | None = None
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        """Print it as the terminal does."""
+        from bayesfric.report.terminal import fit_text
+
+        return "\n".join(fit_text(self))
+
+    __str__ = __repr__
 
     @property
     def accounts(self) -> bool:
         """Whether the intervals account for correlated residuals."""
         test = self.noise.innovation_whiteness
-        if len(self.noise.order_chosen_from) > 1 and test is not None and test.white:
+        if len(self.noise.order_chosen_from) > 1 and test is not None and test["white"]:
             # white noise that was tested, not assumed, leaves nothing to account for
             return True
         return bool(self.noise.accounts_for_correlation)
@@ -640,7 +600,7 @@ class Summary(Part):
             return self.doubts[0].clause
         if self.verdict.outcome != "usable":
             return ""
-        return clause("missing", self.findings[0].message("missing"))
+        return clause("missing", self.findings[0].of_kind("missing").model_dump())
 
     @property
     def verdict(self) -> Verdict:

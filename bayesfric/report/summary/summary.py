@@ -42,16 +42,12 @@ from bayesfric.report.summary.record import (
     Identifiability,
     Likelihood,
     Noise,
-    NullDirection,
     PosteriorRow,
-    RecordingRow,
     Residual,
     Sampler,
     Summary,
     ValueRow,
-    Whiteness,
 )
-from bayesfric.report.terminal import PrintedSummary
 from bayesfric.report.words import line_of
 
 
@@ -70,9 +66,9 @@ def summarise(
         method=fit.target.likelihood.method,
         linearisation=None if fit.linearisation is None else _number(fit.linearisation),
     )
-    null = [NullDirection(parameters=n, meaning=meaning_of(n)) for n in local.null_directions]
+    null = [{"parameters": dict(n), "meaning": meaning_of(n)} for n in local.null_directions]
     parameters = _parameters(fit, local)
-    summary = PrintedSummary(
+    summary = Summary(
         bayesfric=__version__,
         parameters=parameters,
         fixed={
@@ -146,14 +142,12 @@ def _residual(fit: Fit) -> Residual:
         unit=outputs[0].unit,
         quantity=outputs[0].quantity,
         recordings={
-            o.name: RecordingRow.read(
-                {
-                    "residual_rms": rms_of(r),
-                    "residual_lag1": _number(lag_one(r, o.follows)),
-                    "outputs": int(o.measured.size),
-                    **observation.settings,
-                }
-            )
+            o.name: {
+                "residual_rms": rms_of(r),
+                "residual_lag1": _number(lag_one(r, o.follows)),
+                "outputs": int(o.measured.size),
+                **observation.settings,
+            }
             for o, observation, r in zip(outputs, observations, fit.residuals, strict=True)
         },
     )
@@ -277,7 +271,7 @@ def _noise(fit: Fit, choice: NoiseChoice | None, *, lags: int = 10) -> Noise:
     update: dict[str, Any] = {
         "order": order,
         "innovation_lag1": mean_lag(left, runs),
-        "innovation_whiteness": Whiteness(test=test, p_value=p, white=bool(p >= PASSES)),
+        "innovation_whiteness": {"test": test, "p_value": p, "white": bool(p >= PASSES)},
     }
     if order:
         update["autoregression"] = {
