@@ -33,7 +33,7 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.rendering import render
 from bayesfric.report.summary.parts import validation_record
-from bayesfric.report.summary.record import PosteriorRow, Validation
+from bayesfric.report.summary.record import PosteriorRow
 from bayesfric.report.terminal import printed_row
 from bayesfric.report.words import listed
 
@@ -57,7 +57,7 @@ class FittedJoint:
     urdf: Mapping[str, float] = field(default_factory=dict)
     # by all joints: numbers, predictions of held-out logs, and the p-value under the other joints
     rows: Mapping[str, PosteriorRow] = field(default_factory=dict)
-    validation: Validation | None = None
+    validation: dict[str, Any] | None = None
     p_value: float = 1.0
     agrees: bool = True
 
@@ -98,9 +98,9 @@ class FittedJoint:
             for word, terms in (("added", summary.taken), ("found", summary.findings)):
                 if terms:
                     yield f"{word} {listed([term.kind for term in terms])}"
-            for name, part in (self.validation.parts if self.validation else {}).items():
-                coverage = f"90 % bands hold {part.coverage['0.9'].share:.0%}"
-                rms = f"{part.residual_rms:.3g} {summary.fit.unit} rms"
+            for name, part in (self.validation or {"parts": {}})["parts"].items():
+                coverage = f"90 % bands hold {part['coverage']['0.9']['share']:.0%}"
+                rms = f"{part['residual_rms']:.3g} {summary.fit.unit} rms"
                 yield f"predicts {name} to {rms}; {coverage}"
 
     def as_json(self) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class FittedJoint:
             "added": [term.kind for term in summary.taken],
             "findings": [finding.kind for finding in summary.findings],
             "apart": self.p_value,
-            "validation": self.validation and self.validation.model_dump(mode="json"),
+            "validation": self.validation,
             **checks,
         }
 

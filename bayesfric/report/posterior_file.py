@@ -98,25 +98,22 @@ def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str,
     }
     log_likelihood, predictive = _pointwise(fit, rng)
     ensemble = np.repeat(np.arange(ensembles), walkers * steps)
-
-    def by_chain(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
-        return {name: x.reshape(chains) for name, x in arrays.items()}
-
-    # totals of least squares need the recordings, and are in the summary only
-    coefficient_draws = derived.named(flat)
+    by_chain: dict[str, Arrays] = {
+        "posterior": named,
+        # totals of least squares need the recordings, and are in the summary only
+        "derived": derived.named(flat),
+        "log_prior": densities,
+        "sample_stats": {"lp": posterior.log_density, "ensemble": ensemble},
+    }
     return {
-        "posterior": by_chain(named),
-        **({"derived": by_chain(coefficient_draws)} if coefficient_draws else {}),
-        "log_prior": by_chain(densities),
+        **{g: {n: x.reshape(chains) for n, x in of.items()} for g, of in by_chain.items() if of},
         "log_likelihood": log_likelihood,
-        "sample_stats": by_chain({"lp": posterior.log_density, "ensemble": ensemble}),
         "posterior_predictive": predictive,
         "observed_data": {o.name: o.measured for o in fit.target.likelihood.outputs},
     }
 
 
 def _subset(posterior: Posterior, derived: Group, draws: int) -> Arrays:
-    """Thin the draws of parameters and derived quantities, ``(1, draws)`` each."""
     flat = posterior.flat(draws)
     parameters = dict(zip(posterior.names, flat.T, strict=True))
     return {name: x[None] for name, x in (parameters | derived.named(flat)).items()}
@@ -176,7 +173,6 @@ def _provenance(
 
 
 def _description(row: PosteriorRow) -> dict[str, str]:
-    """Give unit, symbol, meaning, verdict and doubts of a variable."""
     texts = {"units": row.unit or "1", "symbol": row.symbol, "long_name": row.meaning}
     texts |= {"verdict": row.verdict, "doubted": ", ".join(row.doubted)}
     return {key: text for key, text in texts.items() if text}

@@ -95,25 +95,23 @@ class ResultRow:
         return "limit" if self.status == "limit" else "open"
 
     @property
-    def _prior_gives_scale(self) -> bool:
-        return self.by == "limit" and self.posterior is not None and bool(self.posterior.given_by)
-
-    @property
     def verdict(self) -> str:
         """What determined it, for a column of a paper."""
         if not self.converged:
             return "not converged"
         if self.doubted:
             return "doubtful"
-        return "data and prior, on one side" if self._prior_gives_scale else _DETERMINED_BY[self.by]
+        by = self.by
+        if by == "limit" and self.posterior and self.posterior.given_by:
+            return "data and prior, on one side"
+        return _DETERMINED_BY[by]
 
     @property
     def in_words(self) -> str:
         """What determined it, for a page."""
-        long = self.by == "weak" or self._prior_gives_scale
-        if self.posterior is None or self.doubted or not long:
+        if self.posterior is None or "data and prior" not in self.verdict:
             return self.verdict
-        return _weak_by(self.posterior) + (", on one side only" if self._prior_gives_scale else "")
+        return _weak_by(self.posterior) + self.verdict.removeprefix("data and prior")
 
     @property
     def hint(self) -> str:
@@ -186,34 +184,25 @@ def posterior_row(name: str, row: PosteriorRow, accounts: bool) -> ResultRow:
     """
     reported = row.reported
     what: dict[str, Any] = {"name": name, **described_as(row), "posterior": row}
+    what |= {"value": row.value, "doubted": row.converged and bool(row.doubted)}
     if not row.converged:
         remark = "the sampling has not converged"
-        return ResultRow(row.value, "undetermined", remark=remark, converged=False, **what)
-    doubted = bool(row.doubted)
+        return ResultRow(status="undetermined", remark=remark, converged=False, **what)
     if reported.bound is not None:
         remark = f"{'at most' if reported.at_most else 'at least'} {reported.bound:.3g}"
         return ResultRow(
-            row.value, "limit", level=row.level, limit=reported.bound, at_bound=row.at_bound,
-            bound=row.bound, remark=remark + (f"; {_DOUBTFUL}" if doubted else ""),
-            doubted=doubted, **what,
+            status="limit", level=row.level, limit=reported.bound, at_bound=row.at_bound,
+            bound=row.bound, remark="; ".join([remark] + [_DOUBTFUL] * what["doubted"]), **what,
         )  # fmt: skip
     if row.verdict == "prior":
-        return ResultRow(
-            row.value, "undetermined", remark="not determined: prior and bounds", **what
-        )
+        what |= {"doubted": False, "remark": "not determined: prior and bounds"}
+        return ResultRow(status="undetermined", **what)
     low, high = reported.interval
     return ResultRow(
-        row.value,
-        "determined",
-        sd=reported.sd,
-        sd_plain=None if accounts else row.sd,
-        accounts=accounts,
-        interval=(low, high),
-        level=row.level,
-        remark="; ".join([_weak_by(row)] * (row.verdict == "weak") + row.remarks),
-        doubted=doubted,
-        **what,
-    )
+        status="determined", sd=reported.sd, sd_plain=None if accounts else row.sd,
+        accounts=accounts, interval=(low, high), level=row.level,
+        remark="; ".join([_weak_by(row)] * (row.verdict == "weak") + row.remarks), **what,
+    )  # fmt: skip
 
 
 def known_row(name: str, value: float, described: Described) -> ResultRow:

@@ -83,8 +83,9 @@ def _of_model(
         order = summary.noise.order_chosen_from or summary.noise.order
         p = p_text(test["p_value"])
         yield "not white", {"p": p, "fix": "" if order else 'noise.model = "auto"'}
-    if summary.validation is not None and not summary.validation.pooled.fine:
-        yield "held out", summary.validation.pooled.model_dump()
+    pooled = summary.validation["pooled"] if summary.validation else {"verdict": "covered"}
+    if pooled["verdict"] not in ("covered", "undecided"):
+        yield "held out", pooled
     if summary.rollout is not None:
         yield from roll_out_messages(summary.rollout).items()
     if contested:
@@ -118,13 +119,11 @@ def brief(summary: Readable, messages: Sequence[Message] | None = None) -> dict[
         # in tables only: the noise, and efficiencies, which alphas are already
         if not (of_noise(name) or quantity_of(name).startswith("efficiency"))
     }
+    own = [row for name, row in rows.items() if name in read.joint]
     shown = [
         name
         for name, row in rows.items()
-        if row.status != "unidentified"
-        and (
-            name in read.joint or not _is_rescaled(row, [rows[n] for n in read.joint if n in rows])
-        )
+        if row.status != "unidentified" and (name in read.joint or not _is_rescaled(row, own))
     ]
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
     directions = read.identifiability.null_directions
@@ -132,6 +131,9 @@ def brief(summary: Readable, messages: Sequence[Message] | None = None) -> dict[
     lost = [name for name in rows if not read.rows[name].converged]
     messages = messages_of(read) if messages is None else messages
     findings = list(dict.fromkeys(message.brief for message in messages if message.brief))
+    remedies = [r for direction in read.identifiability.directions for r in direction.remedies]
+    # the recording that would determine what is open
+    following = next((remedy.text for remedy in remedies if remedy.kind == "known mass"), "")
     return {
         "recorded": _recorded(read),
         "outcome": read.verdict.outcome,
@@ -147,7 +149,7 @@ def brief(summary: Readable, messages: Sequence[Message] | None = None) -> dict[
         "lost": lost,  # what has not converged
         "findings": findings[:FINDINGS],  # the worst first
         "others": max(len(findings) - FINDINGS, 0),
-        "following": _next(read),  # recording to make
+        "following": following if read.verdict.outcome != "not converged" else "",
     }
 
 
@@ -159,13 +161,12 @@ def _recorded(summary: Summary) -> str:
         for row in recordings.values()
         if row.get("n_samples") and row.get("sampling_rate")
     ]
+    names = ", ".join(recordings) if len(recordings) < 3 else f"{len(recordings)} recordings"
     if not sampled:
-        return ", ".join(recordings)
-    rates = [rate for _, rate in sampled]
-    hertz = " to ".join(dict.fromkeys(f"{rate:.4g}" for rate in (min(rates), max(rates))))
-    many = len(recordings)
-    names = ", ".join(recordings) if many < 3 else f"{many} recordings"
-    seconds = f"{sum(n / rate for n, rate in sampled):.4g} s{' in all' if many > 1 else ''}"
+        return names
+    rates = sorted(rate for _, rate in sampled)
+    hertz = " to ".join(dict.fromkeys(f"{rate:.4g}" for rate in (rates[0], rates[-1])))
+    seconds = f"{sum(n / rate for n, rate in sampled):.4g} s{' in all' * (len(recordings) > 1)}"
     return f"{names}: {seconds} at {hertz} Hz, {summary.fit.quantity}"
 
 
@@ -194,16 +195,6 @@ def printed_row(name: str, row: Reported, unit: str, level: float) -> tuple[str,
     return name, value, sd, TEXT.interval(low, high, digits_of), unit, status
 
 
-def _next(summary: Summary) -> str:
-    """Give the recording that would determine what is open."""
-    if summary.verdict.outcome != "not converged":
-        for direction in summary.identifiability.directions:
-            for remedy in direction.remedies:
-                if remedy.kind == "known mass":
-                    return remedy.text
-    return ""
-
-
 def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     """Print a summary, line by line; ``verbose`` with how it was made."""
     read = Summary.read(summary)
@@ -216,8 +207,14 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     if verbose:
         friction: list[tuple[str, ...]] = []
         if (curve := read.friction) is not None:
-            level = f"{100.0 * curve.level:g} % interval"
-            head = (f"speed, {curve.speed_unit}", f"load, {curve.unit}", "value", level, "status")
+            level = f"{100.0 * curve['level']:g} % interval"
+            head = (
+                f"speed, {curve['speed_unit']}",
+                f"load, {curve['unit']}",
+                "value",
+                level,
+                "status",
+            )
             friction = [head, *friction_cells(curve, TEXT)]
         yield from filled(
             "fit.txt.j2",

@@ -126,6 +126,7 @@ FILTERS = {
     "white": lambda white: "pass as white" if white else "do NOT pass as white",
     "listed": listed,
     "spent": time_text,
+    "line": line_of,
     "what": lambda kind: words_of(kind)["what"],
 }
 

@@ -114,7 +114,7 @@ def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
     before = whole.fit(seed=1)
     monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", len(made) - 1)
     after = whole.fit(seed=1)
-    assert after.summary.regression.share == pytest.approx(0.5, abs=0.01)
+    assert after.summary.regression["share"] == pytest.approx(0.5, abs=0.01)
     assert [one.kind for one in after.summary.findings] == ["saturation"]
     one, other = (run.fit.discrepancy for run in (before, after))
     # half of the samples show what is missing nearly as all do, and what it moves on their motion;

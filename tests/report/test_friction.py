@@ -29,20 +29,20 @@ def plain():
 
 def test_rows_are_quantiles_of_the_friction_of_draws_at_recorded_speeds(plain):
     part = friction_part(plain, summarise(plain))
-    assert (part.unit, part.speed_unit) == ("N m", "rad/s")
-    assert part.parameters == ["motor.viscous", "motor.coulomb"]
+    assert (part["unit"], part["speed_unit"]) == ("N m", "rad/s")
+    assert part["parameters"] == ["motor.viscous", "motor.coulomb"]
     speed = np.concatenate([o.speed for o in plain.observations])
     at = np.quantile(np.abs(speed), QUANTILES)
-    np.testing.assert_allclose([r.speed for r in part.rows], [*at, *-at])
+    np.testing.assert_allclose([r["speed"] for r in part["rows"]], [*at, *-at])
     draws = plain.chain_draws(1000)
     b, c = (draws[:, plain.chain.names.index(f"motor.{n}")] for n in ("viscous", "coulomb"))
-    for row in part.rows:
-        expected = np.quantile(c + b * abs(row.speed), [0.5, 0.05, 0.95])
-        np.testing.assert_allclose([row.value, *row.interval], expected, rtol=1e-9)
-        assert (row.load, row.status) == (0.0, "identified")
+    for row in part["rows"]:
+        expected = np.quantile(c + b * abs(row["speed"]), [0.5, 0.05, 0.95])
+        np.testing.assert_allclose([row["value"], *row["interval"]], expected, rtol=1e-9)
+        assert (row["load"], row["status"]) == (0.0, "identified")
         # narrower than what the coefficients' own intervals add up to
-        widths = [np.subtract(*np.quantile(x, [0.95, 0.05])) for x in (c, b * abs(row.speed))]
-        assert np.subtract(*row.interval[::-1]) < 0.9 * sum(widths)
+        widths = [np.subtract(*np.quantile(x, [0.95, 0.05])) for x in (c, b * abs(row["speed"]))]
+        assert np.subtract(*row["interval"][::-1]) < 0.9 * sum(widths)
 
 
 def test_printed_is_a_line_a_speed_where_both_directions_are_alike(plain, knee):
@@ -51,15 +51,15 @@ def test_printed_is_a_line_a_speed_where_both_directions_are_alike(plain, knee):
         assert len(cells) == 3
         assert {(row[0][0], row[1], row[4]) for row in cells} == {("±", "", "identified")}
     # by direction and at three loads each speed is a line
-    rows = friction_part(knee, summarise(knee)).rows
-    assert {np.sign(row.load) for row in rows} == {-1.0, 0.0, 1.0}
-    assert {np.sign(row.speed) for row in rows} == {-1.0, 1.0}
+    rows = friction_part(knee, summarise(knee))["rows"]
+    assert {np.sign(row["load"]) for row in rows} == {-1.0, 0.0, 1.0}
+    assert {np.sign(row["speed"]) for row in rows} == {-1.0, 1.0}
 
 
 def test_what_is_doubted_or_not_sampled_is_not_told_as_identified(plain):
     summary = summarise(plain)
     doubted = summary.with_rows({"motor.viscous": {"doubted": ["missing"]}})
-    assert {row.status for row in friction_part(plain, doubted).rows} == {"doubtful"}
+    assert {row["status"] for row in friction_part(plain, doubted)["rows"]} == {"doubtful"}
     lost = summary.sampler.model_copy(update={"status": "unusable"})
     part = friction_part(plain, summary.model_copy(update={"sampler": lost}))
     assert {row[2:] for row in friction_cells(part, TEXT)} == {("", "", "unidentified")}

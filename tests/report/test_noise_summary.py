@@ -3,8 +3,10 @@
 import pytest
 
 from bayesfric.report.summary import summary
-from bayesfric.report.summary.doubts import correlation_of
+from bayesfric.report.summary.doubts import correlated
 from bayesfric.report.summary.record import Summary
+
+from .made_summaries import knee as knee_summary
 
 
 @pytest.mark.parametrize(("p_value", "white"), [(0.011, False), (0.038, False), (0.06, True)])
@@ -17,5 +19,6 @@ def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_va
 def test_intervals_are_too_narrow_by_the_factor_of_first_order_noise(lag, times):
     """That of a constant: sqrt(1.8/0.2) = 3."""
     noise = {"model": "white", "innovation_lag1": lag}
-    correlation = correlation_of(Summary.read({"parameters": {}, "noise": noise}))
-    assert correlation == (None if times is None else pytest.approx((lag, times)))
+    summary = Summary.read(knee_summary() | {"noise": noise})
+    doubts = list(correlated(summary, ["motor.inertia"]))
+    assert [doubt["times"] for doubt in doubts] == ([] if times is None else [pytest.approx(times)])

@@ -12,7 +12,6 @@ from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.parts import self_check_doubts, self_check_part
-from bayesfric.report.summary.record import ModelError
 from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
 from tests.report.page_reader import read_page
@@ -47,13 +46,13 @@ def told(result, found):
 
 def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
     summary = told(result, checked(result, [2.0]))
-    check = summary.self_check.rows[NAME]
-    assert check.bias == pytest.approx(2.0)
-    assert check.bias_error == pytest.approx(0.0, abs=1e-6)
+    check = summary.self_check["rows"][NAME]
+    assert check["bias"] == pytest.approx(2.0)
+    assert check["bias_error"] == pytest.approx(0.0, abs=1e-6)
     width = summary.parameters[NAME].reported.sd / summary.parameters[NAME].sd
     reach = 1.645 * width
     held = norm.cdf(reach - 2.0) - norm.cdf(-reach - 2.0)
-    assert check.coverage == pytest.approx(held, abs=1e-3)
+    assert check["coverage"] == pytest.approx(held, abs=1e-3)
     doubted = [name for doubt in self_check_doubts(summary) for name in doubt["parameters"]]
     assert doubted == ([NAME] if held < 0.75 else [])
 
@@ -71,20 +70,20 @@ def test_what_no_shift_mends_is_doubtful_and_said_first(result):
 def test_what_filters_leave_of_the_torque_is_no_noise(result):
     """The noise's scale holds it: of so wide intervals more hold the truth."""
     half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
-    assert half.unexplained == 0.5
+    assert half["unexplained"] == 0.5
     row = result.summary.parameters[NAME]
     reach = 1.645 * np.sqrt(2.0) * row.reported.sd / row.sd
-    assert half.rows[NAME].coverage == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
+    assert half["rows"][NAME]["coverage"] == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
 
 
 def test_the_whole_scatters_less_than_its_excerpts(result):
     """By the root of the share, and of what forty of them leave unknown of the bias."""
-    check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check.rows[NAME]
-    assert check.bias_error == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
+    check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check["rows"][NAME]
+    assert check["bias_error"] == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
     row = result.summary.parameters[NAME]
     reach, off = 1.645 * row.reported.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
     held = norm.cdf(reach - off) - norm.cdf(-reach - off)
-    assert check.coverage == pytest.approx(held, abs=1e-3)
+    assert check["coverage"] == pytest.approx(held, abs=1e-3)
 
 
 @pytest.mark.parametrize("wide", [0.0, 5.0, 3000.0])
@@ -96,7 +95,7 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
         row = summary.rows[NAME]
         low, high = (row.median + wide * (end - row.median) for end in row.interval)
         wider = {"model_error_interval": [low, high], "model_error_sd": wide * row.sd}
-        summary = summary.with_rows({NAME: wider}, model_error=ModelError(shown=True))
+        summary = summary.with_rows({NAME: wider}, model_error={"shown": True})
     if doubted:
         summary = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
     row = summary.rows[NAME]

@@ -36,10 +36,8 @@ REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate disagrees.
 _FAR = 3.0
 _PLAIN = "†"
-# What CSV has of each ResultRow, and what JSON has.
-_CSV = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
-    "high", "level", "limit", "disagreement", "converged", "remark")  # fmt: skip
-_JSON = ("value", "status", "sd", "sd_plain", "accounts", "interval", "level", "span", "limit",
+# What JSON has of each ResultRow, and CSV next to the names, with the ends of the interval.
+_KEYS = ("value", "status", "sd", "sd_plain", "accounts", "interval", "level", "span", "limit",
     "at_bound", "bound", "remark", "disagreement", "converged", "doubted", "alike")  # fmt: skip
 
 
@@ -147,10 +145,18 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         for quantity in quantities.values()
         if any(cell.status != "known" for cell in quantity.cells.values())
     ]
-    compared.sort(key=_order)  # keeps the order of the files within each group
+    order = ("total", True), ("derived", True), ("parameter", True), ("parameter", False)
+    places = {key: k for k, key in enumerate(order)} | {("total", False): 0}
+    # keeps the order of the files within each group
+    compared.sort(key=lambda row: places.get((row.kind, bool(row.gauge_free)), len(order)))
     for quantity in compared:
         _measure(quantity, columns, baseline)
-    if len(runs) > 1 and not any(_in_two_runs(quantity, posteriors) for quantity in compared):
+    # how many runs determine each, or its limit, and do not doubt it themselves
+    usable = [
+        sum(c is not None and c.status in ("determined", "limit") and not c.doubted for c in cells)
+        for cells in ([row.cells.get(c.label) for c in posteriors] for row in compared)
+    ]
+    if len(runs) > 1 and max(usable, default=0) < 2:
         notes.insert(0, _note("nothing shared"))
     contested = []
     for column in columns:
@@ -180,36 +186,22 @@ def _note(kind: str, **values: Any) -> str:
     return f"{capital(line_of(kind, values))}."
 
 
-def _order(quantity: Quantity) -> int:
-    if quantity.kind == "total":
-        return 0
-    if quantity.gauge_free:
-        return 1 if quantity.kind == "derived" else 2
-    return 3 if quantity.kind == "parameter" else 4
-
-
 def _columns(prefix: str, run: str, summary: Summary) -> Iterator[Column]:
-    def assumptions(*words: str, rms: float | None, unit: str) -> str:
-        residual = "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
-        return "; ".join(filter(None, (*words, residual)))
+    def rms(value: float | None, unit: str) -> list[str]:
+        return [] if value is None else [f"residual rms {value:.4g} {unit}".strip()]
 
     for method in METHODS:
         if (table := summary.estimates.get(method)) is not None:
-            rms, unit = table.residual_rms, table.residual_unit
-            words = assumptions(table.assumption, *table.notes, rms=rms, unit=unit)
-            yield Column(f"{prefix}{method}", "estimate", run, method, words)
-    if summary.parameters or summary.derived:
-        fit, noise = summary.fit, summary.noise
-        lag = "" if noise.residual_lag1 is None else f"{noise.residual_lag1:.2f}"
-        lag = lag and f"its residuals' lag-1 correlation is {lag}"
-        words = assumptions(
-            summary.likelihood.method,
-            f"noise {noise.model}",
-            lag,
-            rms=fit.residual_rms,
-            unit=fit.unit,
-        )
-        yield Column(f"{prefix}posterior", "posterior", run, None, words, summary.widened)
+            words = [table.assumption, *table.notes]
+            words += rms(table.residual_rms, table.residual_unit)
+            told = "; ".join(filter(None, words))
+            yield Column(f"{prefix}{method}", "estimate", run, method, told)
+    if summary.rows:
+        noise, words = summary.noise, [summary.likelihood.method, f"noise {summary.noise.model}"]
+        if noise.residual_lag1 is not None:
+            words.append(f"its residuals' lag-1 correlation is {noise.residual_lag1:.2f}")
+        told = "; ".join(words + rms(summary.fit.residual_rms, summary.fit.unit))
+        yield Column(f"{prefix}posterior", "posterior", run, None, told, summary.widened)
 
 
 def _cells(
@@ -284,13 +276,6 @@ def _check_common(quantities: Iterable[Quantity], columns: list[Column]) -> None
         if others and results.isdisjoint(set[str]().union(*others)):
             what = "has no quantity in common with the other runs"
             raise BadInput(run, what, "compare runs whose mechanisms share elements")
-
-
-def _in_two_runs(quantity: Quantity, posteriors: list[Column]) -> bool:
-    """Whether two runs determine a quantity, or its limit, and do not doubt it themselves."""
-    cells = [quantity.cells.get(column.label) for column in posteriors]
-    usable = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
-    return len(usable) > 1
 
 
 def _far(quantities: list[Quantity], column: Column, baseline: Column | None) -> list[str]:
@@ -399,26 +384,28 @@ def comparison_csv(compared: Comparison) -> str:
     lines: list[dict[str, Any]] = []
     for row in compared.rows:
         for label, cell in row.cells.items():
-            low, high = cell.interval or (None, None)
-            line = vars(cell) | {"low": low, "high": high, "column": label}
-            line |= {"status": "doubtful"} if cell.doubted else {}
-            lines.append(line | {"name": row.name, "unit": row.unit})
-    return csv_text(lines, _CSV)
+            line = {"name": row.name, "unit": row.unit, "column": label, **_record(cell)}
+            line["low"], line["high"] = line.pop("interval") or (None, None)
+            line["status"] = "doubtful" if cell.doubted else cell.status
+            lines.append(line)
+    return csv_text(lines, [key for key in (lines[0] if lines else ["name"]) if key != "span"])
+
+
+def _record(cell: ResultRow) -> dict[str, Any]:
+    return {key: getattr(cell, key) for key in _KEYS}
 
 
 def comparison_dict(compared: Comparison) -> dict[str, Any]:
     """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
-    quantities = {}
-    for row in compared.rows:
-        keys = ("unit", "symbol", "meaning", "kind", "gauge_free", "of_motion")
-        cells = {
-            label: {key: getattr(cell, key) for key in _JSON} for label, cell in row.cells.items()
-        }
-        quantities[row.name] = {key: getattr(row, key) for key in keys} | {"columns": cells}
+    keys = ("unit", "symbol", "meaning", "kind", "gauge_free", "of_motion")
     return {
         "baseline": compared.baseline,
         "columns": [asdict(column) for column in compared.columns],
-        "quantities": quantities,
+        "quantities": {
+            row.name: {key: getattr(row, key) for key in keys}
+            | {"columns": {label: _record(cell) for label, cell in row.cells.items()}}
+            for row in compared.rows
+        },
         "notes": list(compared.notes),
     }
 

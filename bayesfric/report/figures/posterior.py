@@ -80,12 +80,6 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
     moved = [q for q in choice(fit.wide, summary) if np.ptp(q.draws) > 1e-12 * abs(q.draws).max()]
     if not (shown := moved[:most]):
         return None
-    names = {quantity.row.name for quantity in shown}
-    left_out = [
-        mathtext(q.row.symbol, q.row.name)
-        for q in quantities(fit.wide, summary)
-        if q.row.name not in names
-    ]
     ranges = [quantity.limits for quantity in shown]
     exponents = [power_of_ten(*np.quantile(q.draws, [0.05, 0.95]).tolist()) for q in shown]
     # on two lines: a panel is hardly wider than a unit
@@ -126,10 +120,6 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
         contours = Line2D([], [], color=POSTERIOR, label=f"around {share} % of the draws")
         handles = [*style.labelled(figure), contours]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
-        if left_out and len(shown) > 1:
-            below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
-            words = f"not shown: {', '.join(left_out)}"
-            figure.text(0.98, below, words, ha="right", va="top", fontsize=SMALL)
     return figure
 
 

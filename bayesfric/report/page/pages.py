@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-
-from pydantic import Field
+from typing import Any
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
@@ -19,7 +18,7 @@ from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import parameter_notes, parameter_table
 from bayesfric.report.summary.parts import friction_cells
-from bayesfric.report.summary.record import Pair, Part, Readable, Summary, of_noise
+from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.terminal import brief, messages_of
 
 
@@ -61,14 +60,9 @@ def _text(path: Path) -> str:
         return ""
 
 
-class Provenance(Part):
-    """What is needed to repeat a run."""
-
-    versions: dict[str, str] = Field(default_factory=dict)  # of Python and the libraries
-    recordings: dict[str, str] = Field(default_factory=dict)  # SHA-256 by name
-    seed: str = ""  # as text; empty where it is not known
-    # first and last second that was fitted of a recording, by its name; not of those held out
-    spans: dict[str, Pair] = Field(default_factory=dict)
+# What is needed to repeat a run: `versions` of Python and the libraries, SHA-256 of `recordings`
+# and the seconds that were fitted of each (`spans`) by name, and the `seed` as text.
+Provenance = dict[str, Any]
 
 
 def read_provenance(run: Path) -> Provenance | None:
@@ -76,8 +70,8 @@ def read_provenance(run: Path) -> Provenance | None:
     try:
         with open_hdf5(run / "posterior.nc") as file:
             tables = ("versions", "recordings", "spans")
-            attributes = {key: parse_json(key, file.attrs[key]) for key in tables}
-            return Provenance(**attributes, seed=str(file.attrs["seed"]))
+            attributes = {key: dict(parse_json(key, file.attrs[key])) for key in tables}
+            return {**attributes, "seed": str(file.attrs["seed"])}
     except (BadInput, ValueError, TypeError):
         return None
 
@@ -85,10 +79,10 @@ def read_provenance(run: Path) -> Provenance | None:
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
     """Name the pairs of runs that fitted the same seconds of a recording, by SHA-256."""
     parts = [
-        (run, sha256, *of.spans.get(name, [-math.inf, math.inf]))
+        (run, sha256, *of["spans"].get(name, [-math.inf, math.inf]))
         for run, of in provenance.items()
         if of
-        for name, sha256 in of.recordings.items()
+        for name, sha256 in of["recordings"].items()
         if sha256
     ]
     pairs = {

@@ -27,7 +27,6 @@ from bayesfric.results.reported import (
     LEVEL,
     Determined,
     Reported,
-    Status,
     Verdict,
     outcome_of,
 )
@@ -153,18 +152,17 @@ class PosteriorRow(Described):
     def conclude(self, value: float, interval: Sequence[float], sd: float) -> Reported:
         """Report a number with the status that the row gives it."""
         own_prior = bool(self.given_by) or (bool(self.prior) and not self.prior_default)
-        bound, status = None, KNOWN_BY[self.verdict]
-        if self.at_bound is not None and (self.verdict == "data" or self.informed):
-            bound = interval[1] if self.at_bound == "lower" else interval[0]
+        limit, status = self.converged and self._leans("data"), KNOWN_BY[self.verdict]
         if not self.converged:
-            bound, status = None, "unidentified"
+            status = "unidentified"
         elif self.doubtful:
             status = "doubtful"
-        elif bound is not None:
+        elif limit:
             status = "limit"
         elif self.verdict == "prior" and own_prior:
             status = "prior"
-        at_most = None if bound is None else self.at_bound == "lower"
+        at_most = self.at_bound == "lower" if limit else None
+        bound = interval[1 if at_most else 0] if limit else None
         return Reported(
             value=value, sd=sd, interval=[*interval], status=status, bound=bound, at_most=at_most
         )
@@ -184,16 +182,16 @@ class PosteriorRow(Described):
         """Whether what the data say of it is doubted; of what they leave open they say nothing."""
         return bool(self.doubted) and self.verdict != "prior"
 
-    @property
-    def informed(self) -> bool:
-        """Whether the data, with the priors on a scale if need be, say how far its bound is."""
+    def _leans(self, *verdicts: Determined) -> bool:
+        """Whether data, with priors on a scale if need be, say how far its bound is."""
         known = self.data_sd is not None and self.data_sd < WIDE * (self.prior_sd or math.inf)
-        return known or bool(self.given_by)
+        informed = self.verdict in verdicts or known or bool(self.given_by)
+        return self.at_bound is not None and informed
 
     @property
     def held(self) -> bool:
         """Whether the data push it against its bound; a prior alone leans on bounds too."""
-        return self.at_bound is not None and (self.verdict != "prior" or self.informed)
+        return self._leans("data", "weak")
 
     @property
     def remarks(self) -> list[str]:
@@ -294,25 +292,17 @@ class Message(Part):
         return self.remark or line_of(self.kind, self.model_dump())
 
     @property
-    def clause(self) -> str:
-        """What it is, without what to do."""
-        return clause(self.kind, self.model_dump())
-
-    @property
     def section(self) -> str:
         """Section of the page that says more; may be empty."""
-        if self.kind in ("missing", "put in"):
-            return "model-error"
-        return words_of(self.kind).get("section", "")
+        about = words_of(self.kind).get("section", "")
+        return "model-error" if self.kind in ("missing", "put in") else about
 
     @property
     def brief(self) -> str:
         """Line of the short answer; empty for what needs nothing to be done."""
-        if self.kind in ("put in", "back-EMF", "simulated"):
-            return ""
-        return {"sampler": line_of("sampler"), "warning": self.remark.split(";")[0]}.get(
-            self.kind, self.text
-        )
+        short = {"sampler": line_of("sampler"), "warning": self.remark.split(";")[0]}
+        short |= dict.fromkeys(("put in", "back-EMF", "simulated"), "")
+        return short.get(self.kind, self.text)
 
 
 # -- estimates, noise and likelihood
@@ -398,122 +388,6 @@ class Sampler(Part):
     seed: int | None = None
 
 
-# -- checks of the posterior
-
-
-class Coverage(Part):
-    """How much of what was held out lies in a predictive interval."""
-
-    share: FiniteFloat
-    standard_error: NotNegative
-    effective_outputs: FiniteFloat | None = None
-
-    @property
-    def text(self) -> str:
-        """In per cent, with its error."""
-        return f"{100 * self.share:.1f} ± {100 * self.standard_error:.1f} %"
-
-
-class HeldOut(Part):
-    """How well one held-out part, or all of them, was predicted."""
-
-    held_out: str = "all together"
-    outputs: int
-    coverage: dict[str, Coverage]
-    residual_rms: NotNegative
-    predictive_sd: NotNegative | None = None
-    # by how much outputs are off beyond what noise and posterior explain: value, interval, level
-    discrepancy: dict[str, Any] | None = None
-    verdict: str
-    says: str
-
-    @property
-    def fine(self) -> bool:
-        """Whether there is nothing to warn of."""
-        return self.verdict in ("covered", "undecided")
-
-
-class Validation(Part):
-    """What was predicted and not fitted."""
-
-    predictive: str = ""
-    quantity: str = "output"
-    unit: str
-    parts: dict[Name, HeldOut]
-    pooled: HeldOut
-
-
-class RegressionPart(Part):
-    """How missing effects were tested."""
-
-    twins: int = 0  # simulated replicates
-    asked: int = 0  # kinds of candidates
-    reason: Literal["few", "still"] | None = None  # why there was no test
-    share: float = 1.0  # of the samples that were used
-
-
-class SelfCheckRow(Part):
-    """How fits of simulated recordings recover one quantity."""
-
-    bias: FiniteFloat  # in posterior sds
-    bias_error: NotNegative
-    coverage: Share  # of the printed interval
-    coverage_error: NotNegative
-
-
-class SelfCheck(Part):
-    """Calibration check: fits of recordings like this one, simulated where the truth is known."""
-
-    asked: int  # recordings to simulate
-    made: int  # that could be simulated and fitted
-    reason: Literal["likelihood", "rest", "sampling", "still", "few"] | None = None  # why no rows
-    rows: dict[Name, SelfCheckRow] = {}
-    # what filters, encoder and differentiation leave of the torque, as a share of the noise's
-    # variance
-    unexplained: NotNegative | None = None
-    seconds: NotNegative
-    cpu_seconds: NotNegative
-
-    @property
-    def why(self) -> str:
-        """Why there is none; empty where there is."""
-        return line_of(f"no self-check, {self.reason}", self.model_dump()) if self.reason else ""
-
-
-class ModelError(Part):
-    """Whether intervals allow for model discrepancy."""
-
-    shown: bool
-    chance: Share = 0.0  # probability that the model lacks any candidate
-
-
-class FrictionRow(Part):
-    """Friction of the whole joint at one constant speed of the motor and one load."""
-
-    speed: FiniteFloat  # signed, of the motor
-    quantile: Share  # among recorded speeds of either sign
-    # of the load at the motor, without losses; positive against the motion, and zero unless
-    # friction depends on it
-    load: FiniteFloat = 0.0
-    value: FiniteFloat  # posterior median, positive against the motion
-    interval: Pair
-    status: Status  # `identified`, `doubtful` or `unidentified`
-
-
-class Friction(Part):
-    """Friction of the whole joint at recorded speeds, with model discrepancy.
-
-    Coefficients of friction trade against each other; their sum at a speed that was recorded is
-    often known to a per cent.
-    """
-
-    unit: str  # N m, or N of a motor that slides
-    speed_unit: str
-    level: Share
-    parameters: list[str] = []  # those sampled
-    rows: list[FrictionRow]
-
-
 # -- the whole
 
 
@@ -530,17 +404,20 @@ class Summary(Part):
     identifiability: Identifiability = Identifiability()
     noise: Noise = Noise()
     fit: Residual = Residual()
-    validation: Validation | None = None
+    # what only templates print, as `parts` makes it
+    validation: dict[str, Any] | None = None
+    friction: dict[str, Any] | None = None
+    self_check: dict[str, Any] | None = None
+    model_error: dict[str, Any] | None = None  # whether `shown`, and the `chance` of any candidate
+    # simulated replicates (`twins`), kinds of candidates (`asked`), the `reason` for no test, and
+    # the `share` of the samples that were used
+    regression: dict[str, Any] | None = None
     warnings: list[str] = []
     sampler: Sampler = Sampler()
-    friction: Friction | None = None
-    self_check: SelfCheck | None = None
-    model_error: ModelError | None = None
     rollout: RollOutPart | None = None
     doubts: list[Message] = []
     findings: list[Message] = []
     taken: list[Message] = []  # by terms = "auto"
-    regression: RegressionPart | None = None
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
 
@@ -571,14 +448,13 @@ class Summary(Part):
     @property
     def only_doubted(self) -> bool:
         """Whether the sampling converged, and something else makes the run tentative."""
-        return (
-            self.sampler.status == "tentative" and bool(self.doubts) and not self.sampler.problems
-        )
+        doubted = bool(self.doubts) and not self.sampler.problems
+        return doubted and self.sampler.status == "tentative"
 
     @property
     def widened(self) -> bool:
         """Whether the intervals to print allow for model discrepancy."""
-        return self.model_error is not None and self.model_error.shown
+        return bool(self.model_error and self.model_error["shown"])
 
     @property
     def assumed_constant(self) -> str:
@@ -591,21 +467,24 @@ class Summary(Part):
     @property
     def reasons(self) -> list[str]:
         """Why numbers are doubtful, each in one clause, for print."""
-        return list(dict.fromkeys(doubt.clause for doubt in self.doubts if doubt.parameters))
+        return list(
+            dict.fromkeys(
+                clause(doubt.kind, doubt.model_dump()) for doubt in self.doubts if doubt.parameters
+            )
+        )
 
     @property
     def first(self) -> str:
         """What comes first: a doubt, or what a model lacks that is incomplete; may be empty."""
-        if self.doubts:
-            return self.doubts[0].clause
-        if self.verdict.outcome != "usable":
-            return ""
-        return clause("missing", self.findings[0].of_kind("missing").model_dump())
+        lacking = self.findings[:1] if self.verdict.outcome == "usable" else []
+        for message in self.doubts[:1] or [finding.of_kind("missing") for finding in lacking]:
+            return clause(message.kind, message.model_dump())
+        return ""
 
     @property
     def verdict(self) -> Verdict:
         """Verdict on the run."""
-        tested = self.regression if self.regression and not self.regression.reason else None
+        tested = self.regression if self.regression and not self.regression["reason"] else None
         outcome = outcome_of(
             converged=not self.sampler.problems and self.sampler.status != "unusable",
             # a model that could not be checked is a separate outcome
@@ -614,7 +493,7 @@ class Summary(Part):
             tested=tested is not None,
         )
         doubtful = sum(r.doubtful for n, r in self.rows.items() if not of_noise(n))
-        return Verdict(outcome, self.fit.explained, tested.asked if tested else 0, doubtful)
+        return Verdict(outcome, self.fit.explained, tested["asked"] if tested else 0, doubtful)
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:
@@ -633,14 +512,11 @@ class Summary(Part):
 
     def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Self:
         """Change keys of rows, by name of parameter or derived quantity, and other parts."""
-        tables = {
-            group: {
-                name: row.changed(changes[name]) if name in changes else row
-                for name, row in getattr(self, group).items()
-            }
-            for group in ("parameters", "derived")
-        }
-        return self.model_copy(update=tables | update)
+        for group in ("parameters", "derived"):
+            rows = getattr(self, group)
+            new = {name: rows[name].changed(changes[name]) for name in rows if name in changes}
+            update[group] = rows | new
+        return self.model_copy(update=update)
 
     @property
     def frame(self) -> pd.DataFrame:

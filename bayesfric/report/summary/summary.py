@@ -14,10 +14,8 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driving_shares
 from bayesfric.identifiability.local import (
     LocalInformation,
-    given_by,
     local_information,
     meaning_of,
-    verdict,
 )
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -29,11 +27,11 @@ from bayesfric.report.summary.derived_quantities import (
     Groups,
     derived_rows,
     described_as,
+    determination,
     groups,
     leaning,
     rms_of,
     spread,
-    weakly_given,
 )
 from bayesfric.report.summary.doubts import bound_warning
 from bayesfric.report.summary.parts import validation_record
@@ -206,10 +204,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals
         data_sd = local.data_sd[j] if j < len(local.names) else sd
-        judged: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd)}
-        if judged["verdict"] == "prior" and j < len(local.names):
-            gradient = np.eye(len(local.names))[j]
-            judged |= weakly_given(given_by(local, fit.posterior.priors, gradient, sd, prior_sd, j))
+        change = np.eye(len(local.names))[j : j + 1].ravel()  # none of the noise's
         rows[name] = PosteriorRow(
             **described[name],
             **spread(flat[:, j]),
@@ -221,7 +216,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
             prior_sd=_number(prior_sd),
             contraction=_number(1.0 - (sd / prior_sd) ** 2),
             data_sd=_number(data_sd),
-            **judged,
+            **determination(fit, local, change, (sd, prior_sd, data_sd), j),
             **leaning(flat[:, j], prior.limits, possible[name]),
             period=TURN if prior.circular else None,
         )
