@@ -18,7 +18,6 @@ from bayesfric.report.figures.style import save
 from bayesfric.report.summary.record import read_summary_file
 from bayesfric.report.terminal import roll_out_messages
 from bayesfric.report.words import filled, line_of
-from bayesfric.results.roll_out import RollOutPart
 from bayesfric.rollouts.rollout import rollout as played
 
 
@@ -30,7 +29,7 @@ def rollout(
     seed: int | None = None,
     every: bool = False,
     progress: ProgressCallback,
-) -> RollOutPart:
+) -> dict[str, Any]:
     """Play recordings to a run's posterior, and add what comes of it to the run.
 
     Arguments as of :func:`bayesfric.rollout`. ``summary.json``, the page and ``figures/rollout``
@@ -60,7 +59,7 @@ def rollout(
     return told
 
 
-def rollout_text(found: RollOutPart) -> Iterator[str]:
+def rollout_text(found: dict[str, Any]) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     yield from filled("rollout.txt.j2", found=found).splitlines()
     yield from (f"WARNING: {line_of(*one)}" for one in roll_out_messages(found).items())

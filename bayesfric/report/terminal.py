@@ -21,7 +21,7 @@ from bayesfric.report.summary.parts import friction_cells, off_rows
 from bayesfric.report.summary.record import Message, Readable, Summary, of_noise
 from bayesfric.report.words import filled, line_of
 from bayesfric.results.reported import ORDER, Reported
-from bayesfric.results.roll_out import FEWEST, RollOutPart
+from bayesfric.results.roll_out import FEWEST, tells_nothing
 
 # Rows of the table, and findings, that are shown at most.
 ROWS, FINDINGS = 16, 3
@@ -30,15 +30,16 @@ WIDTH = 100  # columns
 # -- messages
 
 
-def roll_out_messages(rollout: RollOutPart) -> dict[str, dict[str, Any]]:
+def roll_out_messages(rollout: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Say by kind in which recordings motions leave their bands, or bands are too wide."""
-    judged = {name: row for name, row in rollout.recordings.items() if not row.wide}
-    inside = [row.position.inside for row in judged.values()]
+    rows = rollout["recordings"]
+    wide = [name for name, row in rows.items() if tells_nothing(row["blind"], row["over"])]
+    inside = {name: row["position"]["inside"] for name, row in rows.items() if name not in wide}
     messages: dict[str, dict[str, Any]] = {}
-    if inside and (share := sum(inside) / len(inside)) < FEWEST:
-        narrow = [name for name, row in judged.items() if row.narrow]
-        messages["roll-out"] = {"level": rollout.level, "inside": share, "narrow": narrow}
-    if wide := [name for name, row in rollout.recordings.items() if row.wide]:
+    if inside and (share := sum(inside.values()) / len(inside)) < FEWEST:
+        narrow = [name for name, share in inside.items() if share < FEWEST]
+        messages["roll-out"] = {"level": rollout["level"], "inside": share, "narrow": narrow}
+    if wide:
         messages["wide bands"] = {"wide": wide}
     return messages
 

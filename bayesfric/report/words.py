@@ -14,6 +14,7 @@ from jinja2 import Environment
 from bayesfric.base.progress import time_text
 from bayesfric.base.templates import environment, percent, placed, two
 from bayesfric.report.numbers import p_text
+from bayesfric.results.roll_out import tells_nothing
 
 
 @cache
@@ -127,6 +128,7 @@ FILTERS = {
     "listed": listed,
     "spent": time_text,
     "line": line_of,
+    "too_wide": lambda row: tells_nothing(row["blind"], row["over"]),
     "what": lambda kind: words_of(kind)["what"],
 }
 

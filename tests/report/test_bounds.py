@@ -1,6 +1,5 @@
 """A posterior that a bound holds: told with the mend, and the mend mends it."""
 
-import copy
 from itertools import chain
 
 import numpy as np
@@ -14,11 +13,11 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import loss_leaning
 from bayesfric.report.summary.doubts import bound_hint, bound_warning, noise_cut
-from bayesfric.report.summary.record import PosteriorRow, Summary
+from bayesfric.report.summary.record import PosteriorRow
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import brief
 
-from .made_summaries import failed, knee, posterior_row
+from .made_summaries import failed, posterior_row
 
 AXIS = PRESETS["motor-axis"]
 VISCOUS = AXIS.values["motor.viscous"]
@@ -88,28 +87,28 @@ def test_what_a_loss_alone_makes_is_a_limit_where_the_loss_is():
     assert loss_leaning("gearbox.lambda_ratio", mu) == {}
 
 
-def test_what_the_prior_alone_makes_needs_no_other_bound():
-    """A flat prior that the data say nothing to leans on both of its ends."""
-    open_ = posterior_row("N m", 0.5, 0.29, verdict="prior", at_bound="upper", bound=1.0)
-    open_ |= {"data_sd": None, "prior_sd": 0.29, "bound_physical": False}
-    assert bound_hint("motor.coulomb", PosteriorRow.model_validate(open_)) == ""
-    assert bound_warning("motor.coulomb", PosteriorRow.model_validate(open_)) == ""
-    pushed = posterior_row("N m", 0.04, 0.01, verdict="prior", **HELD, bound_physical=False)
-    assert "widen" in bound_hint("motor.coulomb", PosteriorRow.model_validate(pushed))
+OPEN = HELD | {"bound": 1.0, "data_sd": None, "prior_sd": 0.29}
 
 
-@pytest.mark.parametrize(("bound", "physical"), [(0.95, False), (1.0, True)])
-@pytest.mark.parametrize("name", ["noise.pacf_1", "noise.pacf_2"])
-def test_a_memory_at_its_bound_is_no_friction_at_zero_and_needs_no_wider_prior(
-    name, bound, physical
-):
-    told = HELD | {"bound": bound, "bound_physical": physical}
-    row = PosteriorRow.model_validate(posterior_row("", 0.94, 0.01, verdict="data", **told))
-    assert bound_hint(name, row) == ""
-    assert bound_warning(name, row) == ""
-    # what the joint has keeps its own words, and so does another number of the noise
-    assert bound_hint("noise.sigma", row)
-    assert bound_hint("motor.pacf_1", row)
+@pytest.mark.parametrize(
+    ("name", "verdict", "changed", "hint"),
+    [
+        # a flat prior that the data say nothing to leans on both of its ends
+        ("motor.coulomb", "prior", OPEN, False),
+        ("motor.coulomb", "prior", {}, True),
+        # a number of the residuals' autocorrelation needs no wider prior
+        *(("noise.pacf_2", "data", {"bound": x, "bound_physical": x == 1.0}, False)
+          for x in (0.95, 1.0)),
+        ("noise.sigma", "data", {}, True),
+        ("motor.pacf_1", "data", {}, True),
+    ],
+)  # fmt: skip
+def test_a_bound_that_holds_a_number_has_a_hint(name, verdict, changed, hint):
+    held = HELD | {"bound_physical": False} | changed
+    row = PosteriorRow.model_validate(posterior_row("N m", 0.04, 0.01, verdict=verdict, **held))
+    assert bool(bound_hint(name, row)) == hint
+    # of all numbers it is a doubt
+    assert bool(bound_warning(name, row)) == (hint and name != "noise.sigma")
 
 
 @pytest.mark.parametrize(
@@ -117,17 +116,13 @@ def test_a_memory_at_its_bound_is_no_friction_at_zero_and_needs_no_wider_prior(
     [({}, True), ({"at_bound": "lower"}, False), ({"bound_physical": True}, False)],
 )
 def test_noise_that_a_prior_keeps_small_makes_every_number_doubtful(changed, doubted):
-    told = copy.deepcopy(knee())
-    row = posterior_row("N m", 0.04, 0.01, verdict="data", **HELD, bound_physical=False)
-    told["parameters"]["noise.sigma"] = row | changed
-    summary = Summary.read(told)
-    cut = noise_cut("noise.sigma", summary.parameters["noise.sigma"])
-    assert cut is doubted
-    # told once: as a doubt or as a warning
-    warned = bound_warning("noise.sigma", summary.parameters["noise.sigma"])
-    assert bool(warned) == (changed == {"at_bound": "lower"})
+    held = HELD | {"bound_physical": False} | changed
+    row = PosteriorRow.model_validate(posterior_row("N m", 0.04, 0.01, verdict="data", **held))
+    assert noise_cut("noise.sigma", row) is doubted
+    # as a doubt or as a warning
+    assert bool(bound_warning("noise.sigma", row)) == (changed == {"at_bound": "lower"})
     # one of the joint is its own affair
-    assert not noise_cut("motor.coulomb", summary.parameters["noise.sigma"])
+    assert not noise_cut("motor.coulomb", row)
 
 
 @pytest.mark.parametrize(

@@ -17,18 +17,8 @@ from .page_reader import latex_lines, latex_number, number, read_page
 
 
 @pytest.fixture(scope="module")
-def summary(written_run):
-    return json.loads((written_run / "summary.json").read_text(encoding="utf-8"))
-
-
-@pytest.fixture(scope="module")
 def text(written_run):
     return (written_run / "report.html").read_text(encoding="utf-8")
-
-
-@pytest.fixture(scope="module")
-def page(text):
-    return read_page(text)
 
 
 def lines(page):
@@ -57,10 +47,10 @@ def skewed():
 
 @pytest.mark.parametrize("make", [None, knee, loaded, skewed, every_kind])
 def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
-    request, written_run, tmp_path, make
+    written_run, tmp_path, make
 ):
     """To their last digits; no open interval is shown, nor its ends anywhere without words."""
-    told = make() if make else request.getfixturevalue("summary")
+    told = make() if make else json.loads((written_run / "summary.json").read_text("utf-8"))
     table = [row for rows in parameter_table(told).values() for row in rows]
     page = read_page(run_page(tmp_path if make else written_run, told, "run"))
     rows, latex = lines(page), latex_lines(parameters_latex(told))
@@ -130,30 +120,28 @@ def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path
         assert re.search(r"\d", cell(sound[name], "interval").text), name
 
 
-def test_names_are_unique_and_targets_exist(page):
+def test_nothing_is_fetched_and_only_its_own_script_may_run(text):
+    page = read_page(text)
     names = [node.attrs["id"] for node in page.every() if "id" in node.attrs]
     assert len(names) == len(set(names))
-    for node in page.every():
-        if node.attrs.get("href", "").startswith("#"):
-            assert node.attrs["href"][1:] in names
-
-
-def test_nothing_is_fetched_and_only_its_own_script_may_run(page, text):
     (policy,) = [m.attrs["content"] for m in page.all("meta") if "http-equiv" in m.attrs]
     assert policy.startswith("default-src 'none'")
     (script,) = page.all("script")
     digest = base64.b64encode(hashlib.sha256("".join(script.children).encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}'" in policy
     for node in page.every():
-        for key in ("srcset", "action", "data", "poster"):
-            assert key not in node.attrs
+        assert not {"srcset", "action", "data", "poster"} & set(node.attrs)
         assert not any(key.startswith("on") for key in node.attrs)
-        assert node.attrs.get("href", "#").startswith("#")
+        target = node.attrs.get("href", f"#{names[0]}")
+        assert target.startswith("#")
+        assert target[1:] in names
         assert node.attrs.get("src", "data:image/svg+xml,").startswith("data:image/svg+xml,")
     assert "@import" not in text
     assert not list(page.all("link"))
     *_, shown = page.all("pre")  # the last is the configuration
     assert "</script><b>" in shown.text
+    shown = re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.DOTALL)
+    assert not re.search(r"\b(nan|inf|None)\b", shown)
 
 
 def test_names_from_files_are_only_text(tmp_path):
@@ -191,17 +179,10 @@ def test_a_drawing_is_an_image(tmp_path):
         (r"J_{t}^{\mathrm{drive}}", "J<sub>t</sub><sup>drive</sup>"),
         (r"\lambda_1/\lambda_2", "λ<sub>1</sub>/λ<sub>2</sub>"),
         (r"\Delta\mu_{left_arm}", "Δμ<sub>left_arm</sub>"),
+        # cannot be set
+        *((symbol, "") for symbol in ("", "{", r"\nosuch{a}", "a}")),
     ],
 )
 def test_symbols(symbol, html):
-    assert html_symbol(symbol, "x") == f'<span class="sym">{html}</span>'
-
-
-@pytest.mark.parametrize("symbol", ["", "{", r"\nosuch{a}", "a}"])
-def test_symbols_that_cannot_be_set(symbol):
-    assert html_symbol(symbol, "a<b") == "<code>a&lt;b</code>"
-
-
-def test_no_number_is_a_nan(text):
-    shown = re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.DOTALL)
-    assert not re.search(r"\b(nan|inf|None)\b", shown)
+    expected = f'<span class="sym">{html}</span>' if html else "<code>a&lt;b</code>"
+    assert html_symbol(symbol, "a<b") == expected

@@ -148,10 +148,10 @@ def _bars(cell: ResultRow) -> list[tuple[tuple[float, float], Look]]:
 
 def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
     """Write next to a place, on the side with more room; else in the middle."""
-    low, high = ax.get_xlim()
-    middle = 0.5 * (low + high)
-    side, away = ("left", 4.5) if at is not None and at < middle else ("right", -4.5)
-    side, away = ("center", 0.0) if at is None else (side, away)
+    middle = sum(ax.get_xlim()) / 2.0
+    side, away = ("center", 0.0) if at is None else ("right", -4.5)
+    if at is not None and at < middle:
+        side, away = "left", 4.5
     # the dots of a span stop for the words
     look: Look = {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6}, "zorder": 3.5}
     look |= {"ha": side, "va": "center_baseline", "fontsize": style.WORDS}

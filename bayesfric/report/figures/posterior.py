@@ -15,22 +15,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures import style
-from bayesfric.report.figures.style import (
-    DASHED,
-    DOTTED,
-    OPEN_HATCH,
-    PAGE,
-    POSTERIOR,
-    PRIOR,
-    SMALL,
-    Array,
-    Look,
-    axis_label,
-    few_ticks,
-    mathtext,
-    power_of_ten,
-    scaled_unit,
-)
+from bayesfric.report.figures.style import Array, Look
 from bayesfric.report.result_row import ResultRow, result_rows
 from bayesfric.report.summary.derived_quantities import LEVEL, coefficients
 from bayesfric.report.summary.record import Summary, of_noise
@@ -38,16 +23,22 @@ from bayesfric.report.summary.record import Summary, of_noise
 # Share of the draws inside the contours.
 MASSES = (0.5, 0.9)
 _OPEN: Look = {
-    "facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0, "hatch": OPEN_HATCH,
+    "facecolor": "none", "edgecolor": style.POSTERIOR, "linewidth": 0.0, "hatch": style.OPEN_HATCH,
     "label": "posterior that the data leave open", "gid": "open",
 }  # fmt: skip
 _KNOWN: Look = {
-    "facecolor": POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3,
+    "facecolor": style.POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3,
     "label": "posterior", "gid": "posterior",
 }  # fmt: skip
-_PRIOR: Look = {"color": PRIOR, "linestyle": DASHED, "label": "prior", "gid": "prior", "zorder": 3}
+_PRIOR: Look = {
+    "color": style.PRIOR,
+    "linestyle": style.DASHED,
+    "label": "prior",
+    "gid": "prior",
+    "zorder": 3,
+}
 _END: Look = {
-    "color": POSTERIOR, "linewidth": 0.7, "linestyle": DOTTED,
+    "color": style.POSTERIOR, "linewidth": 0.7, "linestyle": style.DOTTED,
     "label": f"{100 * LEVEL:.0f} % interval", "gid": "interval",
 }  # fmt: skip
 
@@ -81,18 +72,18 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
     if not (shown := moved[:most]):
         return None
     ranges = [quantity.limits for quantity in shown]
-    exponents = [power_of_ten(*np.quantile(q.draws, [0.05, 0.95]).tolist()) for q in shown]
+    exponents = [style.power_of_ten(*np.quantile(q.draws, [0.05, 0.95]).tolist()) for q in shown]
     # on two lines: a panel is hardly wider than a unit
     labels = [
-        f"{mathtext(q.row.symbol, q.row.name)}\n({scaled_unit(exponent, q.row.unit)})"
+        f"{style.mathtext(q.row.symbol, q.row.name)}\n({style.scaled_unit(exponent, q.row.unit)})"
         for q, exponent in zip(shown, exponents, strict=True)
     ]
     with style.paper_style():
-        figure = Figure(figsize=(PAGE, PAGE))
+        figure = Figure(figsize=(style.PAGE, style.PAGE))
         corner.corner(
             np.stack([quantity.draws for quantity in shown], axis=1),
-            fig=figure, range=ranges, bins=40, color=POSTERIOR, labels=labels,
-            label_kwargs={"fontsize": SMALL, "linespacing": 1.3},
+            fig=figure, range=ranges, bins=40, color=style.POSTERIOR, labels=labels,
+            label_kwargs={"fontsize": style.SMALL, "linespacing": 1.3},
             # in bins: closed contours from some thousand draws, hardly wider
             smooth=1.2, levels=MASSES, fill_contours=True, plot_datapoints=False,
             plot_density=False, contour_kwargs={"linewidths": (0.6, 0.9)},
@@ -103,12 +94,12 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
         axes = np.array(figure.axes).reshape(len(shown), len(shown))
         for k, quantity in enumerate(shown):
             _marginal(axes[k, k], quantity)
-            few_ticks(axes[-1, k].xaxis, 3, inner=True, exponent=exponents[k])
+            style.few_ticks(axes[-1, k].xaxis, 3, inner=True, exponent=exponents[k])
             # upright: neighbours leave a number no room
             axes[-1, k].tick_params(axis="x", labelrotation=90)
             axes[-1, k].xaxis.set_label_coords(0.5, away)
             if k:
-                few_ticks(axes[k, 0].yaxis, 3, inner=True, exponent=exponents[k])
+                style.few_ticks(axes[k, 0].yaxis, 3, inner=True, exponent=exponents[k])
                 axes[k, 0].tick_params(axis="y", labelrotation=0)
                 axes[k, 0].yaxis.set_label_coords(away, 0.5)
             for other in range(k):
@@ -117,7 +108,7 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
                         contours.set_visible(not getattr(contours, "filled", False))
         # in the empty upper triangle
         share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-        contours = Line2D([], [], color=POSTERIOR, label=f"around {share} % of the draws")
+        contours = Line2D([], [], color=style.POSTERIOR, label=f"around {share} % of the draws")
         handles = [*style.labelled(figure), contours]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
     return figure
@@ -180,7 +171,7 @@ def combinations(fit: Fit, summary: Summary) -> list[Shown]:
 
 
 _DOTS: Look = {
-    "linestyle": "none", "marker": ".", "markersize": 2.2, "color": POSTERIOR, "alpha": 0.25,
+    "linestyle": "none", "marker": ".", "markersize": 2.2, "color": style.POSTERIOR, "alpha": 0.25,
 }  # fmt: skip
 _MARKER: Look = {
     "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": style.PALETTE[0],
@@ -225,15 +216,15 @@ def ridge_figure(fit: Fit) -> Figure | None:
         for k, marker, i, factor in zip((0, -1), "s^", (2, 1), bounds, strict=True)
         if factor > 0.0
     ]
-    with style.paper_figure(PAGE, 2.7) as figure:
+    with style.paper_figure(style.PAGE, 2.7) as figure:
         for ax, name in zip(style.panel_grid(figure, len(names), len(names)), names, strict=True):
             pair = (f"{element}.alpha_drive", name)
             for quantity, axis in zip(pair, (ax.xaxis, ax.yaxis), strict=True):
                 symbol, unit, _ = draws[quantity]
                 both = np.concatenate([values[quantity][2] for values in (draws, line)])
-                exponent = power_of_ten(float(np.nanmin(both)), float(np.nanmax(both)))
-                axis.set_label_text(axis_label(symbol, quantity, exponent, unit))
-                few_ticks(axis, 5, exponent=exponent)
+                exponent = style.power_of_ten(float(np.nanmin(both)), float(np.nanmax(both)))
+                axis.set_label_text(style.axis_label(symbol, quantity, exponent, unit))
+                style.few_ticks(axis, 5, exponent=exponent)
             (x, y), (x_line, y_line) = ([q[key][2] for key in pair] for q in (draws, line))
             ax.plot(x, y, gid="posterior", markeredgewidth=0.0, rasterized=True, **_DOTS)
             ax.plot(x_line, y_line, color=style.PALETTE[0], gid="line")

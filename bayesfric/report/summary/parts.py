@@ -139,7 +139,7 @@ def self_check_part(
 ) -> dict[str, Any]:
     """Sum up the calibration check of a fit, for ``summary["self_check"]``."""
     count = len(checked.fits)
-    part = {
+    part: dict[str, Any] = {
         "asked": REPLICATES,
         "made": count,
         "reason": checked.reason,  # why there are no rows

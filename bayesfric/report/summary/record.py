@@ -30,7 +30,6 @@ from bayesfric.results.reported import (
     Verdict,
     outcome_of,
 )
-from bayesfric.results.roll_out import RollOutPart
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -414,7 +413,7 @@ class Summary(Part):
     regression: dict[str, Any] | None = None
     warnings: list[str] = []
     sampler: Sampler = Sampler()
-    rollout: RollOutPart | None = None
+    rollout: dict[str, Any] | None = None
     doubts: list[Message] = []
     findings: list[Message] = []
     taken: list[Message] = []  # by terms = "auto"
