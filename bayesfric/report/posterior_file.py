@@ -36,12 +36,10 @@ def posterior_tree(
 ) -> xr.DataTree:
     """Put the groups of ``posterior.nc`` together.
 
-    ``posterior`` holds every draw, a walker being a chain, and ``derived`` the derived quantities;
-    their variables carry units, symbol, meaning and verdict. ``widened`` holds both with model
-    discrepancy, where recordings show any: the draws that simulations use. ``log_prior`` has the
-    log density of each parameter's prior at each draw. ``ensemble`` of ``sample_stats`` numbers the
-    ensemble of a walker. ``log_likelihood`` and ``posterior_predictive`` hold a number for each
-    output and a subset of the draws. A light run has so many ``draws`` of posterior and prior.
+    In ``posterior`` and ``derived`` a walker is a chain. ``widened`` holds both with model
+    discrepancy, where recordings show any: the draws that simulations use. ``log_likelihood`` and
+    ``posterior_predictive`` hold a number for each output and a subset of the draws. A light run
+    has so many ``draws`` of posterior and prior.
     """
     posterior, outputs = fit.posterior, fit.target.likelihood.outputs
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))

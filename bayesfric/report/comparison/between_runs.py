@@ -93,8 +93,7 @@ def between_runs(
 ) -> list[SharedQuantity]:
     """Give the quantities of runs on different recordings that can be pooled.
 
-    See :func:`shared_quantities` for what counts. What another motion changes is not pooled: runs
-    of one joint may differ in it.
+    Not what another motion changes: runs of one joint may differ in it.
     """
     return [
         quantity
@@ -109,9 +108,8 @@ def shared_quantities(
     """Give every quantity that the data of two runs determine, with each run's likelihood.
 
     By the runs' ``draws`` where there are any, else as if posteriors were normal. A run whose prior
-    matters counts by its draws over those of its prior, and not at all without them: one prior
-    would count several times. Nor does what the data leave open, or a run that is unusable: it has
-    no posterior.
+    matters counts by its draws over those of its prior, or not at all: one prior would count
+    several times.
     """
     angles = first_angles(summary.parameters for summary in runs.values())
     tables = {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from io import StringIO
 from itertools import groupby
@@ -96,15 +96,12 @@ class Comparison:
 def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = None) -> Comparison:
     """Compare the results of one or several runs, each by what its ``summary.json`` holds.
 
-    ``estimates`` is whether to show point estimates; by default of a single run only. Totals come
-    first, then what no scaling of leg parameters and alpha changes, then the rest. ``BadInput``
+    ``estimates`` is whether to show point estimates; by default of a single run only. ``BadInput``
     where units differ, or a run has no quantity in common with any other.
 
-    Disagreement is ``(value - median)/sd`` with both of the first posterior; of what is skewed that
-    sd is the one on the side of the other, and of a limit what its distance makes of one. The
-    variance of another posterior, and of a reference that has one, is added; runs on the same
-    recording are not independent, and disagree more than that says. An estimate of the same run
-    used the same data, so variances do not add: the larger of the two sds counts.
+    Disagreement is ``(value - median)/sd`` with both of the first posterior, of what is skewed the
+    sd on the side of the other. The variance of another posterior or of a reference is added; of
+    an estimate of the same run, which used the same data, the larger of the two sds counts.
     """
     runs = {name: Summary.read(run, name) for name, run in summaries.items()}
     with_estimates = len(runs) == 1 if estimates is None else estimates
@@ -128,7 +125,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             # the data alone leave what a scaling changes without any sd
             rows = [s.parameters.get(quantity.name) for s in runs.values()]
             quantity.gauge_free = all(row.data_sd is not None for row in rows if row is not None)
-    _check_common(quantities.values(), columns)
+    _check_common([*quantities.values()], columns)
     notes = [
         _note("unsure run", run=run, status=summary.sampler.status)
         for run, summary in runs.items()
@@ -197,7 +194,7 @@ def _columns(prefix: str, run: str, summary: Summary) -> Iterator[Column]:
             told = "; ".join(filter(None, words))
             yield Column(f"{prefix}{method}", "estimate", run, method, told)
     if summary.rows:
-        noise, words = summary.noise, [summary.likelihood.method, f"noise {summary.noise.model}"]
+        noise, words = summary.noise, [summary.likelihood["method"], f"noise {summary.noise.model}"]
         if noise.residual_lag1 is not None:
             words.append(f"its residuals' lag-1 correlation is {noise.residual_lag1:.2f}")
         told = "; ".join(words + rms(summary.fit.residual_rms, summary.fit.unit))
@@ -262,14 +259,13 @@ def _not_alike(summary: Summary, name: str, unit: str) -> str:
     return share if bent and name in summary.parameters else ""
 
 
-def _check_common(quantities: Iterable[Quantity], columns: list[Column]) -> None:
+def _check_common(quantities: list[Quantity], columns: list[Column]) -> None:
     """Refuse runs without a result, or without any that another has, but for fixed parameters."""
-    names: dict[str, set[str]] = {column.run: set() for column in columns}
-    for quantity in quantities:
-        for column in columns:
-            cell = quantity.cells.get(column.label)
-            if cell is not None and cell.status != "known":
-                names[column.run].add(quantity.name)
+    names: dict[str, set[str]] = {}
+    for column in columns:
+        cells = {quantity.name: quantity.cells.get(column.label) for quantity in quantities}
+        results = {name for name, cell in cells.items() if cell and cell.status != "known"}
+        names[column.run] = names.get(column.run, set()) | results
     # of two, the second is the one out of place
     for run, results in reversed(names.items()):
         others = [theirs for other, theirs in names.items() if other != run]

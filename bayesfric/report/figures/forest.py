@@ -42,11 +42,9 @@ _RUNS = (style.POSTERIOR, style.PALETTE[0], style.PALETTE[3])
 def forest_figure(compared: Comparison) -> Figure:
     """Draw a comparison, a column wide for up to four quantities, else a page.
 
-    Bars are 90 % intervals: a posterior's, an estimate's 1.645 standard deviations to either side.
-    Thick ones account for correlated residuals, thin ones with caps assume uncorrelated ones. What
-    is not determined has an open marker and those words, never a bar; dots span the values that fit
-    as well. A reference is a vertical line. Quantities of only one column are left out, unless
-    there are no others; ``BadInput`` if nothing at all can be drawn.
+    Bars are 90 % intervals; thick ones account for correlated residuals, thin ones assume
+    uncorrelated ones. What is not determined has an open marker and those words, never a bar; dots
+    span the values that fit as well. ``BadInput`` if nothing at all can be drawn.
     """
 
     def count(row: Quantity) -> int:

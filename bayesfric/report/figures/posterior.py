@@ -199,9 +199,8 @@ def ridge(fit: Fit) -> tuple[Scaling, tuple[float, float], Array] | None:
 def ridge_figure(fit: Fit) -> Figure | None:
     """Draw the scale that no torque determines: the posterior and the exact line, a page wide.
 
-    ``alpha_1`` against first moment, load inertia and ``alpha_2``: posterior draws, the exact
-    scaling line through the posterior's median and its ends, where a passive gearbox would have
-    ``alpha_2 = 1`` and ``alpha_1 = 1``. ``None`` for a chain that has no such scaling.
+    ``alpha_1`` is against first moment, load inertia and ``alpha_2``; the line ends where a passive
+    gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``.
     """
     if (known := ridge(fit)) is None:
         return None

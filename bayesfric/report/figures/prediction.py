@@ -47,9 +47,8 @@ def predictive(fit: Fit) -> list[tuple[Array, Array, Array]]:
 def prediction_figure(fit: Fit) -> Figure:
     """Draw measured and predicted torque or position, and residuals, over time, a page wide.
 
-    A column for each of at most three recordings, with the 90 % predictive band and two noise
-    scales. Where outputs are missing (dead zone, excluded spans) the lines break; excluded spans
-    are hatched.
+    Where outputs are missing (dead zone, excluded spans) the lines break; excluded spans are
+    hatched.
     """
     outputs = fit.target.likelihood.outputs
     shown = outputs[:MOST]

@@ -179,7 +179,7 @@ def correlated(summary: Summary, determined: Sequence[str]) -> Iterator[dict[str
     """
     lag, rows = summary.noise.innovation_lag1, summary.rows
     # simulated positions are correlated by their model
-    if summary.likelihood.method != "input-error" or lag is None or lag < CORRELATED:
+    if summary.likelihood["method"] != "input-error" or lag is None or lag < CORRELATED:
         return
     times = float(np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99))))
     if narrow := [name for name in determined if rows[name].reported.sd < times * rows[name].sd]:

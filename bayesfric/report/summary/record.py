@@ -320,13 +320,6 @@ class EstimateTable(Part):
     notes: list[str] = []
 
 
-class Likelihood(Part):
-    """What the posterior compares with the recording, and how."""
-
-    method: Literal["input-error", "output-error"] = "input-error"
-    linearisation: FiniteFloat | None = None
-
-
 class Identifiability(Part):
     """What no recording of this kind can determine."""
 
@@ -399,7 +392,7 @@ class Summary(Part):
     derived: dict[Name, PosteriorRow] = {}
     estimates: dict[Method, EstimateTable] = {}
     references: dict[Name, ValueRow] = {}
-    likelihood: Likelihood = Likelihood()
+    likelihood: dict[str, Any] = {"method": "input-error"}  # and what its `linearisation` changes
     identifiability: Identifiability = Identifiability()
     noise: Noise = Noise()
     fit: Residual = Residual()
@@ -519,12 +512,7 @@ class Summary(Part):
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Parameters, then derived quantities, as a table with a line for each.
-
-        First what every view prints: value, sd, ends of the interval, status, and the findings that
-        move it by more than that. Then how it was made: the posterior's own numbers, whether the
-        interval allows for model discrepancy; and the keys of :class:`PosteriorRow`.
-        """
+        """Parameters, then derived quantities: what every view prints, and how it was made."""
         import pandas as pd
 
         lines = []

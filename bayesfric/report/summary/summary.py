@@ -38,7 +38,6 @@ from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import (
     EstimateTable,
     Identifiability,
-    Likelihood,
     Noise,
     PosteriorRow,
     Residual,
@@ -60,10 +59,7 @@ def summarise(
     ``references`` are as a configuration gives them, ``derived`` are computed where left out.
     """
     local = local_information(fit.target, fit.posterior.median)
-    likelihood = Likelihood(
-        method=fit.target.likelihood.method,
-        linearisation=None if fit.linearisation is None else _number(fit.linearisation),
-    )
+    change = None if fit.linearisation is None else _number(fit.linearisation)
     null = [{"parameters": dict(n), "meaning": meaning_of(n)} for n in local.null_directions]
     parameters = _parameters(fit, local)
     summary = Summary(
@@ -77,26 +73,26 @@ def summarise(
         derived=derived_rows(fit, local, groups(fit) if derived is None else derived),
         estimates={estimate.method: estimate_table(estimate) for estimate in fit.estimates},
         references={name: ValueRow(**values) for name, values in (references or {}).items()},
-        likelihood=likelihood,
+        likelihood={"method": fit.target.likelihood.method, "linearisation": change},
         identifiability=Identifiability(null_directions=null),
         noise=_noise(fit, choice),
         fit=_residual(fit),
         validation=validation_record(fit) if fit.held_out else None,
         sampler=_sampler(fit.posterior),
-        warnings=[text for text in _warnings(fit, parameters, likelihood) if text],
+        warnings=[text for text in _warnings(fit, parameters, change or 0.0) if text],
     )
     return _with_mirrored(summary, fit)
 
 
 def _warnings(
-    fit: Fit, parameters: Mapping[str, PosteriorRow], likelihood: Likelihood, linear: float = 1.0
+    fit: Fit, parameters: Mapping[str, PosteriorRow], change: float, linear: float = 1.0
 ) -> Sequence[str]:
     """Gather warnings; empty ones count for nothing.
 
-    A log-likelihood that linearising changes by ``linear`` moves an interval by about one standard
-    deviation.
+    A ``change`` of the log-likelihood by linearising of ``linear`` moves an interval by about one
+    standard deviation.
     """
-    unseen, change = fit.chain.unseen_inertia, likelihood.linearisation or 0.0
+    unseen = fit.chain.unseen_inertia
     held_out = [part.held_out.observation for part in fit.held_out]
     return [
         *fit.posterior.diagnostics.warnings,
@@ -170,25 +166,9 @@ def _with_mirrored(summary: Summary, fit: Fit, *, seldom: float = 0.1) -> Summar
 
 def estimate_table(estimate: Estimate) -> EstimateTable:
     """Put a point estimate into the form of ``summary.json``."""
-    same = ("unit", "symbol", "meaning", "value", "kind", "gauge_free", "determined", "at_bound")
-    return EstimateTable(
-        parameters={
-            v.name: ValueRow(
-                **{key: getattr(v, key) for key in same},
-                sd=_number(v.sd),
-                sd_robust=_number(v.sd_robust),
-                span=list(v.span) if v.span else None,
-            )
-            for v in estimate.values
-        },
-        converged=estimate.converged,
-        point=dict(estimate.point),
-        residual_rms=estimate.residual_rms,
-        residual_unit=estimate.residual_unit,
-        outputs=estimate.n_outputs,
-        assumption=estimate.assumption,
-        notes=list(estimate.notes),
-    )
+    rows = {v.name: {**vars(v), "determined": v.determined} for v in estimate.values}
+    update = {"parameters": rows, "outputs": estimate.n_outputs, "point": dict(estimate.point)}
+    return EstimateTable.read(jsonable({**vars(estimate), **update}))
 
 
 def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
