@@ -32,12 +32,11 @@ def summaries(make_observation):
     observation = make_observation(joint, values, sigma=0.05, n=2000, seed=5)
 
     def summary(upper):
-        told = {"motor.viscous": [0.0, upper], "motor.coulomb": [0.0, 20.0]}
-        priors = read_priors(joint, told, [observation])
+        ranges = {"motor.viscous": [0.0, upper], "motor.coulomb": [0.0, 20.0]}
+        priors = read_priors(joint, ranges, [observation])
         target = make_target(joint, [observation], priors, "shared")
-        return summarise(
-            fit(target, Sampling(seed=2, min_ess=400, walkers=24, ensembles=2))
-        ).as_dict()
+        sampled = fit(target, Sampling(seed=2, min_ess=400, walkers=24, ensembles=2))
+        return summarise(sampled).as_dict()
 
     return {"narrow": summary(0.7 * VISCOUS), "wide": summary(10.0 * VISCOUS)}
 
@@ -48,12 +47,12 @@ def test_a_bound_that_was_set_is_warned_of_and_widening_it_helps(summaries):
     assert row["at_bound"] == "upper"
     assert row["bound"] == pytest.approx(0.7 * VISCOUS)
     assert row["bound_physical"] is False
-    (told,) = [text for text in narrow["warnings"] if text.startswith("motor.viscous")]
-    assert "widen priors.motor.v" in told
-    mended = wide["parameters"]["motor.viscous"]
-    assert mended["at_bound"] is None
+    (warning,) = [text for text in narrow["warnings"] if text.startswith("motor.viscous")]
+    assert "widen priors.motor.v" in warning
+    wider = wide["parameters"]["motor.viscous"]
+    assert wider["at_bound"] is None
     # the constant loss that is not there pulls at it from its own bound
-    assert abs(mended["mean"] - VISCOUS) < 4.0 * mended["sd"]
+    assert abs(wider["mean"] - VISCOUS) < 4.0 * wider["sd"]
     assert row["interval"][1] < VISCOUS
     assert not any("end of its range" in text for text in wide["warnings"])
 
@@ -63,10 +62,8 @@ def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
         row = summary["parameters"]["motor.coulomb"]
         if summary is summaries["wide"]:
             assert (row["at_bound"], row["bound"], row["bound_physical"]) == ("lower", 0.0, True)
-            (printed,) = (
-                r for r in parameter_table(summary)["parameter"] if r.name == "motor.coulomb"
-            )
-            assert "cannot distinguish it from 0 N m" in printed.hint
+            hint = result_rows(summary)["motor.coulomb"].hint
+            assert "cannot distinguish it from 0 N m" in hint
         assert not any(text.startswith("motor.coulomb") for text in summary["warnings"])
 
 

@@ -99,28 +99,25 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     if doubted:
         summary = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
     row = summary.rows[NAME]
-    one = row.reported
-    assert one.value == row.middle
+    printed = row.reported
+    assert printed.value == row.middle
     if wide:
-        assert one.interval == list(row.model_error_interval)
-        assert one.sd == row.model_error_sd
-    assert one.status == ("doubtful" if doubted else "identified")
+        assert (printed.interval, printed.sd) == (row.model_error_interval, row.model_error_sd)
+    assert printed.status == ("doubtful" if doubted else "identified")
+    numbers = printed.value, tuple(printed.interval), printed.sd
     line = result_rows(summary)[NAME]
-    assert (line.value, line.interval, line.sd) == (one.value, tuple(one.interval), one.sd)
-    (column,) = (c for c in comparison({"run": summary}).rows if c.name == NAME)
-    assert column.cells["posterior"].value == one.value
-    (printed,) = (line for line in brief(summary)["lines"] if line[0] == NAME)
-    (shown,) = (x for x in fit_text(summary) if x.startswith(f"{NAME} "))
-    page = read_page(run_page(tmp_path, summary, "run"))
-    (first,) = page.all("section", id="findings")
-    (cells,) = (tr for tr in first.all("tr") if tr.attrs.get("data-name") == NAME)
-    for text in printed[1:4]:
-        assert text in shown
-        assert text in cells.text
-    fine = finer(one.value, *one.interval, one.sd)
-    assert printed[3] == TEXT.interval(*one.interval, fine)
-    for medium in (TEXT, HTML, LATEX):
-        assert medium.interval(*one.interval, fine) in line.shown(medium)[1]
+    column = comparison({"run": summary})[NAME].cells["posterior"]
+    for shown in (line, column):
+        assert (shown.value, shown.interval, shown.sd) == numbers
     frame = summary.frame.set_index("name").loc[NAME]
-    assert [frame["low"], frame["high"]] == one.interval
-    assert ("doubtful" in shown) == doubted
+    assert (frame["value"], (frame["low"], frame["high"]), frame["sd"]) == numbers
+    (cells,) = (line for line in brief(summary)["lines"] if line[0] == NAME)
+    (terminal,) = (x for x in fit_text(summary) if x.startswith(f"{NAME} "))
+    (first,) = read_page(run_page(tmp_path, summary, "run")).all("section", id="findings")
+    (page,) = (tr for tr in first.all("tr") if tr.attrs.get("data-name") == NAME)
+    assert all(text in terminal and text in page.text for text in cells[1:4])
+    fine = finer(printed.value, *printed.interval, printed.sd)
+    assert cells[3] == TEXT.interval(*printed.interval, fine)
+    for medium in (TEXT, HTML, LATEX):
+        assert medium.interval(*printed.interval, fine) in line.shown(medium)[1]
+    assert ("doubtful" in terminal) == doubted

@@ -148,13 +148,6 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     compared.sort(key=lambda row: places.get((row.kind, bool(row.gauge_free)), len(order)))
     for quantity in compared:
         _measure(quantity, columns, baseline)
-    # how many runs determine each, or its limit, and do not doubt it themselves
-    usable = [
-        sum(c is not None and c.status in ("determined", "limit") and not c.doubted for c in cells)
-        for cells in ([row.cells.get(c.label) for c in posteriors] for row in compared)
-    ]
-    if len(runs) > 1 and max(usable, default=0) < 2:
-        notes.insert(0, _note("nothing shared"))
     contested = []
     for column in columns:
         same = baseline is not None and column.run == baseline.run
