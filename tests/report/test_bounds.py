@@ -77,8 +77,8 @@ def test_what_a_loss_alone_makes_is_a_limit_where_the_loss_is():
         sides = {"alpha_drive": (1 / (1 + mu), "upper"), "alpha_back": (1 / (1 - mu), "lower")}
         sides["efficiency_drive"] = sides["alpha_drive"]
         for name, (draws, side) in sides.items():
-            told = loss_leaning(f"gearbox.{name}", draws)
-            assert told["at_bound"] == (side if at_zero else None)
+            leaning = loss_leaning(f"gearbox.{name}", draws)
+            assert leaning["at_bound"] == (side if at_zero else None)
             # and where its loss itself leans
             assert (bound_of(mu, 0.0, np.inf) is not None) == at_zero
     assert loss_leaning("gearbox.lambda_ratio", mu) == {}

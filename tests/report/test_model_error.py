@@ -39,8 +39,8 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
     ).parameters[NAME]
     assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
     assert result_rows(wrong.summary)[NAME].status == "determined"
-    told = wrong.summary.with_rows({NAME: dict(row)})
-    assert result_rows(told)[NAME].limit == row.model_error_interval[1]
+    widened = wrong.summary.with_rows({NAME: dict(row)})
+    assert result_rows(widened)[NAME].limit == row.model_error_interval[1]
 
 
 def test_figures_show_what_the_tables_print(wrong):
@@ -48,7 +48,7 @@ def test_figures_show_what_the_tables_print(wrong):
     figure = RUN_FIGURES["corner"].draw(wrong.fit, wrong.summary)
     row = wrong.summary.parameters[NAME]
     interval = result_rows(wrong.summary)[NAME].interval
-    found = []
+    sds = []
     for ax in figure.axes:
         fills = [p for p in ax.patches if p.get_gid() == "posterior"]
         ends = [x.get_xdata()[0] for x in ax.lines if x.get_linewidth() == 0.7]
@@ -56,10 +56,10 @@ def test_figures_show_what_the_tables_print(wrong):
             values, edges, _ = fills[0].get_data()
             middles = 0.5 * (edges[1:] + edges[:-1])
             mean = np.average(middles, weights=values)
-            found.append(np.sqrt(np.average((middles - mean) ** 2, weights=values)))
-    assert found, "no panel has the interval of the tables"
+            sds.append(np.sqrt(np.average((middles - mean) ** 2, weights=values)))
+    assert sds, "no panel has the interval of the tables"
     # of 40 bins, and a thousandth of the draws beyond either end
-    assert found[0] == pytest.approx(row.model_error_sd, rel=0.05)
+    assert sds[0] == pytest.approx(row.model_error_sd, rel=0.05)
     assert row.model_error_sd > 1.2 * row.sd
 
 
@@ -68,8 +68,8 @@ def test_every_view_goes_by_the_wide_one(wrong):
     assert row.reported.interval == row.model_error_interval
     cell = result_rows(wrong.summary)[NAME]
     assert (cell.interval, cell.sd) == (tuple(row.model_error_interval), row.model_error_sd)
-    told = wrong.summary.frame.set_index("name").loc[NAME]
-    assert [told["low"], told["high"]] == row.model_error_interval
+    frame = wrong.summary.frame.set_index("name").loc[NAME]
+    assert [frame["low"], frame["high"]] == row.model_error_interval
     # figures of friction draw from it
     drawn = wrong.fit.wide.posterior.draws[..., wrong.fit.posterior.names.index(NAME)]
     assert np.quantile(drawn, [0.05, 0.95]) == pytest.approx(row.model_error_interval)
@@ -91,6 +91,6 @@ def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
     moves[:, at] = 3.0 * prior * np.random.default_rng(7).standard_normal(4000)
     room = Discrepancy(1.0, moves, np.zeros(k), np.eye(k))
     fit = replace(fit, discrepancy=room)
-    found = add_model_error(plain, fit, groups(fit))
-    assert found.parameters["motor.coulomb"].verdict == "weak"
-    assert found.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict
+    widened = add_model_error(plain, fit, groups(fit))
+    assert widened.parameters["motor.coulomb"].verdict == "weak"
+    assert widened.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict

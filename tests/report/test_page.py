@@ -50,10 +50,10 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
     written_run, tmp_path, make
 ):
     """To their last digits; no open interval is shown, nor its ends anywhere without words."""
-    told = make() if make else json.loads((written_run / "summary.json").read_text("utf-8"))
-    table = [row for rows in parameter_table(told).values() for row in rows]
-    page = read_page(run_page(tmp_path if make else written_run, told, "run"))
-    rows, latex = lines(page), latex_lines(parameters_latex(told))
+    summary = make() if make else json.loads((written_run / "summary.json").read_text("utf-8"))
+    table = [row for rows in parameter_table(summary).values() for row in rows]
+    page = read_page(run_page(tmp_path if make else written_run, summary, "run"))
+    rows, latex = lines(page), latex_lines(parameters_latex(summary))
     assert set(rows) == {r.name for r in table}
     open_ = [r for r in table if r.status == "undetermined"]
     assert bool(open_) == (make is not loaded)
@@ -62,9 +62,9 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
         assert (escaped(r.verdict), latex_unit(r.unit)) == (verdict, unit)
         if r.posterior is None:  # a value that is known
             known = latex_number(value)[0][0]
-            assert known == pytest.approx(told["fixed"][r.name]["value"], rel=1e-3)
+            assert known == pytest.approx(summary["fixed"][r.name]["value"], rel=1e-3)
             continue
-        entry = told["parameters"].get(r.name) or told["derived"][r.name]
+        entry = summary["parameters"].get(r.name) or summary["derived"][r.name]
         if r in open_:
             assert (value, ends) == ("--- (prior)", "---")
             assert cell(row, "value").text == "not determined"
@@ -162,10 +162,10 @@ def test_a_drawing_is_an_image(tmp_path):
     )
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "one.svg").write_text(svg, encoding="utf-8")
-    found = page_figure(tmp_path, "one", "One", "A caption.", "One. A caption.")
-    assert (found.width, found.height, found.wide) == (9.0, 8.0, False)
-    assert not set('<>"&\n') & set(found.source)
-    shown = unquote(found.source)
+    drawing = page_figure(tmp_path, "one", "One", "A caption.", "One. A caption.")
+    assert (drawing.width, drawing.height, drawing.wide) == (9.0, 8.0, False)
+    assert not set('<>"&\n') & set(drawing.source)
+    shown = unquote(drawing.source)
     assert 'id="p" d="M 1.23 2 L -7.12 3"' in shown
     assert "0.125" in shown
     (tmp_path / "figures" / "one.svg").write_text("<svg/>", encoding="utf-8")

@@ -79,10 +79,10 @@ def test_every_variable_carries_unit_symbol_meaning_and_verdict(run):
 
 def test_derived_quantities_are_those_of_the_summary(run):
     _, summary, data = run
-    found = data["derived"].data_vars
-    assert {"total_drive.inertia", "gearbox.alpha_drive"} <= set(found) <= set(summary.derived)
-    for name in found:
-        row, draws = summary.derived[name], found[name]
+    variables = data["derived"].data_vars
+    assert {"total_drive.inertia", "gearbox.alpha_drive"} <= set(variables) <= set(summary.derived)
+    for name in variables:
+        row, draws = summary.derived[name], variables[name]
         assert np.nanmedian(draws.values) == pytest.approx(row.median, rel=1e-12)
         assert draws.attrs["units"] == (row.unit or "1")
         assert draws.attrs["verdict"] == row.verdict
@@ -90,8 +90,8 @@ def test_derived_quantities_are_those_of_the_summary(run):
 
 
 def test_reading_and_writing_a_summary_changes_nothing_and_its_frame_has_every_number():
-    for made in (knee(), every_kind()):
-        summary = Summary.read(made)
+    for run in (knee(), every_kind()):
+        summary = Summary.read(run)
         assert Summary.read(summary.as_dict()) == summary
     frame = summary.frame.set_index("name")
     assert list(frame.index) == [*summary.parameters, *summary.derived]

@@ -60,8 +60,8 @@ def folder(tmp_path_factory):
     """A folder with configuration and recordings, and in it the finished run."""
     folder = tmp_path_factory.mktemp("bench")
     for seed, name in enumerate(NAMES):
-        made = parse_config(CONFIG + SIMULATION, folder / "made.toml")
-        simulate(made, folder / f"{name}.csv", seed=seed)
+        config = parse_config(CONFIG + SIMULATION, folder / "made.toml")
+        simulate(config, folder / f"{name}.csv", seed=seed)
     (folder / "axis.toml").write_text(CONFIG, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         for stem in run_directory.FIGURES:
@@ -94,8 +94,8 @@ def problem(folder):
 
 def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     """Of a run made without it, from draws and recordings: to the byte what --paper gives."""
-    some = {stem: run_directory.FIGURES[stem] for stem in DRAWN}
-    monkeypatch.setattr(run_directory, "FIGURES", some)
+    drawn = {stem: run_directory.FIGURES[stem] for stem in DRAWN}
+    monkeypatch.setattr(run_directory, "FIGURES", drawn)
     again = shutil.copytree(run, tmp_path / "run")
     wanted = [f"figures/{stem}.{kind}" for stem in DRAWN for kind in ("pdf", "png")]
     wanted += [f"tables/{name}.tex" for name in ("parameters", "estimates")]

@@ -32,20 +32,20 @@ def checked(result, missed, unexplained=0.0, n=40, share=1.0):
     truth, j = posterior.flat(n), posterior.names.index(NAME)
     sd = result.summary.parameters[NAME].sd
     fits = []
-    for one, z in zip(truth, np.resize(missed, n), strict=True):
-        nearby = one.copy()
+    for vector, z in zip(truth, np.resize(missed, n), strict=True):
+        nearby = vector.copy()
         nearby[j] += 1e-3 * z * sd
         fits.append(ReplicateFit(nearby, 1e-3, unexplained))
     return CalibrationCheck(truth, tuple(fits), 1.0, 2.0, share=share)
 
 
-def told(result, found):
-    part = self_check_part(result.fit, result.summary, found, groups(result.fit))
+def with_check(result, check):
+    part = self_check_part(result.fit, result.summary, check, groups(result.fit))
     return result.summary.model_copy(update={"self_check": part})
 
 
 def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
-    summary = told(result, checked(result, [2.0]))
+    summary = with_check(result, checked(result, [2.0]))
     check = summary.self_check["rows"][NAME]
     assert check["bias"] == pytest.approx(2.0)
     assert check["bias_error"] == pytest.approx(0.0, abs=1e-6)
@@ -58,7 +58,7 @@ def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
 
 
 def test_what_no_shift_mends_is_doubtful_and_said_first(result):
-    summary = told(result, checked(result, [3.0, -3.0]))
+    summary = with_check(result, checked(result, [3.0, -3.0]))
     (doubt,) = self_check_doubts(summary)
     assert doubt["parameters"] == [NAME]
     after = put_doubts(summary, [doubt])
@@ -69,7 +69,7 @@ def test_what_no_shift_mends_is_doubtful_and_said_first(result):
 
 def test_what_filters_leave_of_the_torque_is_no_noise(result):
     """The noise's scale holds it: of so wide intervals more hold the truth."""
-    half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
+    half = with_check(result, checked(result, [0.0], unexplained=0.5)).self_check
     assert half["unexplained"] == 0.5
     row = result.summary.parameters[NAME]
     reach = 1.645 * np.sqrt(2.0) * row.reported.sd / row.sd
@@ -78,7 +78,7 @@ def test_what_filters_leave_of_the_torque_is_no_noise(result):
 
 def test_the_whole_scatters_less_than_its_excerpts(result):
     """By the root of the share, and of what forty of them leave unknown of the bias."""
-    check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check["rows"][NAME]
+    check = with_check(result, checked(result, [3.0, -3.0], share=0.05)).self_check["rows"][NAME]
     assert check["bias_error"] == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
     row = result.summary.parameters[NAME]
     reach, off = 1.645 * row.reported.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)

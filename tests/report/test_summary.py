@@ -209,34 +209,34 @@ def test_derived_quantities_follow_from_each_draw(knee_alone):
         expected[f"{total}.gravity"] = factor * p["load.first_moment"] * g / n
     for name, values in expected.items():
         row = summary["derived"][name]
-        found = [row["mean"], row["sd"], row["median"], *row["interval"]]
+        stored = [row["mean"], row["sd"], row["median"], *row["interval"]]
         quantiles = np.quantile(values, [0.5, 0.05, 0.95])
         wanted = [values.mean(), values.std(), *quantiles]
-        np.testing.assert_allclose(found, wanted, rtol=1e-7, err_msg=name)
+        np.testing.assert_allclose(stored, wanted, rtol=1e-7, err_msg=name)
 
 
-def with_draws(made, **columns):
+def with_draws(fit, **columns):
     """Replace draws of a made-up fit; a pair fills one half of each walker's steps each."""
-    draws = made.posterior.draws.copy()
+    draws = fit.posterior.draws.copy()
     half = draws.shape[2] // 2
     for name, (first, second) in columns.items():
-        j = made.posterior.names.index(name.replace("__", "."))
+        j = fit.posterior.names.index(name.replace("__", "."))
         draws[:, :, :half, j] = first
         draws[:, :, half:, j] = second
-    return replace(made, posterior=replace(made.posterior, draws=draws))
+    return replace(fit, posterior=replace(fit.posterior, draws=draws))
 
 
 @pytest.mark.parametrize(("others", "undefined"), [(0.01, 0.5), (0.9998, 1.0)])
 def test_a_gearbox_that_draws_call_irreversible(make_fit, others, undefined):
     """Eq. (4): 1 - mu_2 - Fr/Ts is negative where mu_2 is nearly one, and no number there."""
     constant = (5.0, 1e-9) if others == 0.01 else (5.0, 5.0)
-    made = with_draws(
+    fit = with_draws(
         make_fit(samples=600, ensembles=2),
         gearbox__load_back=(0.9999, others),
         joint__coulomb_positive=constant,
         joint__coulomb_negative=constant,
     )
-    summary = summarise(made).as_dict()
+    summary = summarise(fit).as_dict()
     json.dumps(summary, allow_nan=False)
     summary_table(summary)
     row = summary["derived"].get("gearbox.efficiency_back")
@@ -305,11 +305,11 @@ def test_one_loss_for_both_ways_says_which_was_seen(make_fit, monkeypatch):
     assert {plain[name].mirrored for name in sides.values()} == {None}
     always = partial(summary_module._with_mirrored, seldom=1.0)
     monkeypatch.setattr(summary_module, "_with_mirrored", always)
-    found = summarise(lossy)
-    shares = [found.derived[name].mirrored for name in sides.values()]
+    lossy_summary = summarise(lossy)
+    shares = [lossy_summary.derived[name].mirrored for name in sides.values()]
     assert shares == pytest.approx([0.5, 0.5], abs=0.1)
     assert sum(shares) == pytest.approx(1.0)
-    verdicts = [found.derived[name].verdict for name in sides.values()]
+    verdicts = [lossy_summary.derived[name].verdict for name in sides.values()]
     assert "data" not in verdicts
     # two losses speak for themselves
     two = summarise(make_fit(samples=600, ensembles=2))

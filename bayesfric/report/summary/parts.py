@@ -19,10 +19,7 @@ from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.diagnostics.policy import REPLICATES
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
-from bayesfric.identifiability.friction_curve import (
-    friction_curves,
-    friction_torque,
-)
+from bayesfric.identifiability.friction_curve import friction_curves, friction_torque
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.predictive import Prediction
@@ -91,8 +88,8 @@ def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) ->
     shares = {level: share_of(out <= level / 2.0, at, centred) for level in (0.5, LEVEL, 0.99)}
     off = _discrepancy(residual**2 - variance, at)
     verdict = _verdict(shares[LEVEL], off)
-    covers = "{:.1f} ± {:.1f} %".format(*(100.0 * x for x in [*shares[LEVEL].values()][:2]))
-    words = {"covers": covers, "effective": shares[LEVEL]["effective_outputs"]}
+    inside, error, effective = shares[LEVEL].values()
+    words = {"covers": f"{100 * inside:.1f} ± {100 * error:.1f} %", "effective": effective}
     if off["interval"][0] > 0.0:
         words["beyond"] = f"{off['value']:.3g} {outputs.unit}"
     return {
