@@ -288,15 +288,16 @@ def friction_cells(friction: Mapping[str, Any] | None, medium: Medium) -> Iterat
     Both directions share a row where the law is symmetric.
     """
     rows = [r for r in friction["rows"] if r["quantile"] in PRINTED] if friction else []
-    by_place = {(row["speed"], row["load"]): [row["value"], *row["interval"]] for row in rows}
-    for (at, load), numbers in by_place.items():
+    by_place = {(row["speed"], row["load"]): row for row in rows}
+    for (at, load), row in by_place.items():
+        value, low, high = row["value"], *row["interval"]
         other = by_place.get((-at, load))
-        same = other is not None and np.allclose(numbers, other, rtol=1e-9, atol=0.0)
+        same = other is not None and np.allclose(
+            [value, low, high], [other["value"], *other["interval"]], rtol=1e-9, atol=0.0
+        )
         if same and at < 0.0:
             continue
-        status = next(r["status"] for r in rows if (r["speed"], r["load"]) == (at, load))
-        value, low, high = numbers
-        sd = (high - low) / (2.0 * float(norm.ppf(0.5 + 0.5 * LEVEL)))
+        status, sd = row["status"], (high - low) / (2.0 * float(norm.ppf(0.5 + 0.5 * LEVEL)))
         place = ("±" if same else "") + medium.number(at, 3), medium.number(load, 3) if load else ""
         if status == "unidentified" or not (math.isfinite(sd) and sd > 0.0):
             yield *place, "", "", status
