@@ -25,6 +25,7 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.readers import sha256
 from bayesfric.report.summary.record import Summary, read_summary_file
+from bayesfric.report.terminal import PrintedSummary
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -270,7 +271,7 @@ def summary(posterior: Any) -> Summary:
         Every number with its verdict; ``frame`` is its table; it shows as on a terminal.
     """
     if isinstance(posterior, str | Path):
-        return Summary.read(read_summary_file(Path(posterior)), str(posterior))
+        return PrintedSummary.read(read_summary_file(Path(posterior)), str(posterior))
     return result_of(posterior).summary
 
 

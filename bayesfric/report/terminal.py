@@ -196,6 +196,15 @@ def printed_row(name: str, row: Reported, unit: str, level: float) -> tuple[str,
     return name, value, sd, TEXT.interval(low, high, digits_of), unit, status
 
 
+class PrintedSummary(Summary):
+    """Every number of a run; Python and a notebook show it as the terminal does."""
+
+    def __repr__(self) -> str:
+        return "\n".join(fit_text(self))
+
+    __str__ = __repr__
+
+
 def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     """Print a summary, line by line; ``verbose`` with how it was made."""
     read = Summary.read(summary)

@@ -290,7 +290,7 @@ def friction_cells(friction: Mapping[str, Any] | None, medium: Medium) -> Iterat
     rows = [r for r in friction["rows"] if r["quantile"] in PRINTED] if friction else []
     by_place = {(row["speed"], row["load"]): row for row in rows}
     for (at, load), row in by_place.items():
-        value, low, high = row["value"], *row["interval"]
+        value, (low, high) = row["value"], row["interval"]
         other = by_place.get((-at, load))
         same = other is not None and np.allclose(
             [value, low, high], [other["value"], *other["interval"]], rtol=1e-9, atol=0.0

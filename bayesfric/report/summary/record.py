@@ -413,14 +413,6 @@ class Summary(Part):
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
 
-    def __repr__(self) -> str:
-        """Print it as the terminal does."""
-        from bayesfric.report.terminal import fit_text
-
-        return "\n".join(fit_text(self))
-
-    __str__ = __repr__
-
     @property
     def accounts(self) -> bool:
         """Whether the intervals account for correlated residuals."""

@@ -45,6 +45,7 @@ from bayesfric.report.summary.record import (
     Summary,
     ValueRow,
 )
+from bayesfric.report.terminal import PrintedSummary
 from bayesfric.report.words import line_of
 
 
@@ -62,7 +63,7 @@ def summarise(
     change = None if fit.linearisation is None else _number(fit.linearisation)
     null = [{"parameters": dict(n), "meaning": meaning_of(n)} for n in local.null_directions]
     parameters = _parameters(fit, local)
-    summary = Summary(
+    summary = PrintedSummary(
         bayesfric=__version__,
         parameters=parameters,
         fixed={
