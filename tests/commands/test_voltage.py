@@ -58,6 +58,6 @@ def test_which_numbers_hold_it_is_told(one, options):
     found = fitted(**options) if options else one
     told = found.summary.fit.back_emf
     names = [n for n in found.summary.parameters if "viscous" in n]
-    assert told.same_as_back_emf == names
+    assert list(told.same_as_back_emf) == names
     assert told.nominal == pytest.approx(KT**2 / R)
     assert [a.kind for a in messages_of(found.summary)].count("back-EMF") == 1
