@@ -10,16 +10,16 @@ from typing import Any
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, identify, speed_term
 from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.predictive import predict_held_out
-from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.inference.stiction_violations import StictionViolation, stiction_violations
+from bayesfric.inference.posterior import StictionViolation, predict_held_out, stiction_violations
+from bayesfric.inference.sampling import Sampling
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import add_model_error, find_doubts, put_doubts
@@ -94,11 +94,17 @@ def _conclude(
         directions += identify(start.target, posterior.median).directions
     violations: list[StictionViolation] = []
     if posterior.diagnostics.status != "unusable":
-        violations += stiction_violations(sampled, problem.recordings, tables.processing)
+        violations += stiction_violations(
+            target,
+            sampled.wide.posterior,
+            sampled.residuals,
+            problem.recordings,
+            tables.processing,
+        )
     derived = groups(sampled)
     summary = summarise(sampled, problem.references(), start.choice, derived)
     summary = add_model_error(summary, sampled, derived)
-    summary = _with_back_emf(summary, speed_term(target, posterior.median, problem.recordings))
+    summary = _with_back_emf(summary, speed_term(start.target, problem.recordings))
     findings = explained.with_severity(widened=summary.widened)
     update: dict[str, Any] = {
         "fit": summary.fit.model_copy(update={"rests": violations}),

@@ -145,7 +145,7 @@ class Model(Problem):
         """
         target, point = self._at_estimate(progress)
         with self.config.named(), few_threads(self.observations):
-            speed = speed_term(target, point, self.recordings)
+            speed = speed_term(target, self.recordings)
             return identify(target, point, speed=speed)
 
     def advise(self, name: str, *, progress: ProgressCallback = no_progress) -> Ranking:

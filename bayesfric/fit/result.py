@@ -16,8 +16,7 @@ from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.base.safe_read import open_hdf5, read_array
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import NoiseChoice
-from bayesfric.inference.posterior import Diagnostics, Posterior, Status
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.posterior import Diagnostics, Posterior, Status, predict_held_out
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config_text import saved_name
 from bayesfric.problem.problem import Problem

@@ -14,8 +14,9 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, by_method, no_progress
-from bayesfric.diagnostics.explanation import Explanation, Finding, explain, too_few_outputs
-from bayesfric.diagnostics.policy import MAX_EFFECTS
+from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
+from bayesfric.diagnostics.regression import Finding
+from bayesfric.diagnostics.statistics import MAX_EFFECTS
 from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.least_squares import TotalsProjection
@@ -27,12 +28,11 @@ from bayesfric.estimates.methods import (
 )
 from bayesfric.estimates.point_estimate import Estimate, Knowledge
 from bayesfric.inference.fitting import make_target, target_of
-from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, as_knowledge
-from bayesfric.inference.target import Target
+from bayesfric.inference.target import Likelihood, Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, read_config
