@@ -73,7 +73,7 @@ def _of_model(
     summary: Summary, contested: Sequence[str]
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Kind and values of what may be wrong with model and noise."""
-    for finding in sorted(summary.findings, key=lambda row: -row.values["share"]):
+    for finding in sorted(summary.findings, key=lambda row: -row.details["share"]):
         if finding.severity == "note":  # else it is a doubt
             yield "missing", finding.of_kind("missing").model_dump(exclude={"kind", "remark"})
     if rests := [f"{rest.recording} at {rest.start:.3g} s" for rest in summary.fit.rests]:

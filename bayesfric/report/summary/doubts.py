@@ -200,7 +200,7 @@ def _missing(summary: Summary, of_data: Sequence[str]) -> Iterator[dict[str, Any
     finding to first order: what it moves by more than half of itself is doubted all the same.
     """
     for finding in summary.findings:
-        moves = {} if of_recording(finding.kind) else finding.values["moves"]
+        moves = {} if of_recording(finding.kind) else finding.details["moves"]
         of = [name for name in of_data if name in moves]
         if finding.severity == "note":
             of = [name for name in of if _far(summary.rows[name], moves[name])]

@@ -281,7 +281,7 @@ class Message(Part):
         return Message.model_validate({**values, "kind": kind, **changes})
 
     @property
-    def values(self) -> dict[str, Any]:
+    def details(self) -> dict[str, Any]:
         """Further keys."""
         return self.model_extra or {}
 
