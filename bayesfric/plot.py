@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.fit.result import result_of
 from bayesfric.report.figures.prediction import rollout_figure
-from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
+from bayesfric.report.figures.registry import RUN_FIGURES
 from bayesfric.results.roll_out import RollOut
 
 
@@ -25,7 +25,7 @@ def __getattr__(name: str) -> Callable[[Any], Figure]:
 
     def draw(posterior: Any) -> Figure:
         result = result_of(posterior)
-        figure = RUN_FIGURES[name].draw(FinishedRun(result.fit, result.summary))
+        figure = RUN_FIGURES[name].draw(result.fit, result.summary)
         if figure is None:
             raise BadInput(f"plot.{name}", "there is nothing to show", "draw another figure")
         return figure

@@ -65,7 +65,7 @@ LONG = {
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
-        bounds browser corner figures model_error prediction ridge
+        bounds browser corner doubts_of_summary figures model_error prediction ridge
         run_directory self_check summary validation""",
     "rollouts": """
         rollout""",

@@ -37,7 +37,7 @@ from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.rendering import render
 from bayesfric.report.summary.derived_quantities import leaning, spread
 from bayesfric.report.summary.parts import validation_record
-from bayesfric.report.summary.record import PosteriorRow, Validation
+from bayesfric.report.summary.record import PosteriorRow
 from bayesfric.report.terminal import printed_row
 from bayesfric.report.words import filled
 
@@ -60,7 +60,7 @@ class FittedJoint:
     urdf: Mapping[str, float] = field(default_factory=dict)
     # by all joints: numbers, predictions of held-out logs, and the p-value under the other joints
     rows: Mapping[str, PosteriorRow] = field(default_factory=dict)
-    validation: Validation | None = None
+    validation: dict[str, Any] | None = None
     p_value: float = 1.0
     agrees: bool = True
 
@@ -205,7 +205,7 @@ class FittedJoint:
             "added": [term.kind for term in summary.taken],
             "findings": [finding.kind for finding in summary.findings],
             "apart": self.p_value,
-            "validation": self.validation and self.validation.model_dump(mode="json"),
+            "validation": self.validation,
             **checks,
         }
 
@@ -361,6 +361,5 @@ def _cell(row: PosteriorRow | None) -> tuple[str, str]:
     """Format a number with its status, and its interval with the unit."""
     if row is None:
         return TEXT.none, ""
-    printed = printed_row("", row.reported, row.unit, row.level)
-    value, interval = (printed.value, printed.status), (printed.interval, printed.unit)
-    return " ".join(value).strip(), " ".join(interval).strip()
+    _, value, _, interval, unit, status = printed_row("", row.reported, row.unit, row.level)
+    return f"{value} {status}".strip(), f"{interval} {unit}".strip()

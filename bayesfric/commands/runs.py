@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayesfric.base.atomic_write import (
     add_files,
@@ -30,9 +30,6 @@ from bayesfric.report.comparison.comparison import (
 )
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.words import filled, line_of
-
-if TYPE_CHECKING:
-    from bayesfric.results.roll_out import RollOutPart
 
 
 def report(
@@ -64,14 +61,13 @@ def report(
 def _paper_figures(run: Path, progress: ProgressCallback) -> tuple[list[str], Any]:
     """Draw a run's figures again; return their files, and its summary."""
     from bayesfric.fit.result import Result
-    from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.run_directory import draw
 
     progress(Progress("recordings"))
     result = Result.read(run)
     with add_files(run / "figures") as folder:
-        draw(folder, FinishedRun(result.fit, result.summary), IN_PAPER, progress)
+        draw(folder, result.fit, result.summary, IN_PAPER, progress)
         return [f"figures/{file.name}" for file in sorted(folder.iterdir())], result.summary
 
 
@@ -83,7 +79,7 @@ def rollout(
     seed: int | None = None,
     every: bool = False,
     progress: ProgressCallback,
-) -> RollOutPart:
+) -> dict[str, Any]:
     """Simulate recordings' inputs with a run's posterior, and add the result to the run.
 
     Arguments as of :func:`bayesfric.rollout`. ``summary.json``, the page and ``figures/rollout``
@@ -110,9 +106,9 @@ def rollout(
     return result.summary
 
 
-def rollout_text(rolled: RollOutPart) -> Iterator[str]:
+def rollout_text(rolled: dict[str, Any]) -> Iterator[str]:
     """Word it for a terminal, line by line."""
-    from bayesfric.report.messages import roll_out_messages
+    from bayesfric.report.terminal import roll_out_messages
 
     yield from filled("rollout.txt.j2", found=rolled).splitlines()
     for kind, values in roll_out_messages(rolled).items():

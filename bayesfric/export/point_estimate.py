@@ -26,7 +26,7 @@ def open_scalings(run: Result) -> tuple[Scaling, ...]:
     """List scalings of link and load-dependent friction that data and priors leave open."""
     rows = run.summary.rows
     specified = {name for name, row in rows.items() if row.given_by}
-    directions = [set(n.parameters) for n in run.summary.identifiability.null_directions]
+    directions = [set(n["parameters"]) for n in run.summary.identifiability.null_directions]
     unidentified = {name for names in directions if not names & specified for name in names}
     return tuple(
         scaling

@@ -24,7 +24,7 @@ from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import add_model_error, find_doubts, put_doubts
 from bayesfric.report.summary.parts import friction_part, self_check_doubts, self_check_part
-from bayesfric.report.summary.record import FindingRow, RegressionPart, Summary
+from bayesfric.report.summary.record import Message, Summary
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
 
@@ -108,14 +108,14 @@ def _conclude(
     findings = explained.with_severity(widened=summary.widened)
     update: dict[str, Any] = {
         "fit": summary.fit.model_copy(update={"rests": violations}),
-        "findings": [FindingRow.read(finding.as_dict()) for finding in findings],
-        "taken": [FindingRow.read(finding.as_dict()) for finding in included],
-        "regression": RegressionPart(
-            twins=len(explained.replicates),
-            asked=len(explained.kinds),
-            reason=explained.reason,
-            share=explained.share,
-        ),
+        "findings": [Message.read(finding.as_dict()) for finding in findings],
+        "taken": [Message.read(finding.as_dict()) for finding in included],
+        "regression": {
+            "twins": len(explained.replicates),
+            "asked": len(explained.kinds),
+            "reason": explained.reason,
+            "share": explained.share,
+        },
         "identifiability": summary.identifiability.model_copy(update={"directions": directions}),
         "warnings": [*summary.warnings, *start.missing],
         # a data file does not say that it is simulated; the configuration may

@@ -60,9 +60,9 @@ def text_rounded(value: float, sd: float | None) -> str:
     return digits + (f"e{exponent}" if exponent else "") if number else "0"
 
 
-def p_text(p_value: float) -> str:
+def p_text(p_value: float | None) -> str:
     """Write a p-value; one too small for a floating-point number is not zero."""
-    return f"p = {p_value:.2g}" if p_value > 0.0 else "p < 1e-300"
+    return f"p = {p_value:.2g}" if p_value else "p < 1e-300"
 
 
 class Medium:

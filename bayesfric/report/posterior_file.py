@@ -36,12 +36,10 @@ def posterior_tree(
 ) -> xr.DataTree:
     """Put the groups of ``posterior.nc`` together.
 
-    ``posterior`` holds every draw, a walker being a chain, and ``derived`` the derived quantities;
-    their variables carry units, symbol, meaning and verdict. ``widened`` holds both with model
-    discrepancy, where recordings show any: the draws that simulations use. ``log_prior`` has the
-    log density of each parameter's prior at each draw. ``ensemble`` of ``sample_stats`` numbers the
-    ensemble of a walker. ``log_likelihood`` and ``posterior_predictive`` hold a number for each
-    output and a subset of the draws. A light run has so many ``draws`` of posterior and prior.
+    In ``posterior`` and ``derived`` a walker is a chain. ``widened`` holds both with model
+    discrepancy, where recordings show any: the draws that simulations use. ``log_likelihood`` and
+    ``posterior_predictive`` hold a number for each output and a subset of the draws. A light run
+    has so many ``draws`` of posterior and prior.
     """
     posterior, outputs = fit.posterior, fit.target.likelihood.outputs
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
@@ -98,25 +96,22 @@ def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str,
     }
     log_likelihood, predictive = _pointwise(fit, rng)
     ensemble = np.repeat(np.arange(ensembles), walkers * steps)
-
-    def by_chain(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
-        return {name: x.reshape(chains) for name, x in arrays.items()}
-
-    # totals of least squares need the recordings, and are in the summary only
-    coefficient_draws = derived.named(flat)
+    by_chain: dict[str, Arrays] = {
+        "posterior": named,
+        # totals of least squares need the recordings, and are in the summary only
+        "derived": derived.named(flat),
+        "log_prior": densities,
+        "sample_stats": {"lp": posterior.log_density, "ensemble": ensemble},
+    }
     return {
-        "posterior": by_chain(named),
-        **({"derived": by_chain(coefficient_draws)} if coefficient_draws else {}),
-        "log_prior": by_chain(densities),
+        **{g: {n: x.reshape(chains) for n, x in of.items()} for g, of in by_chain.items() if of},
         "log_likelihood": log_likelihood,
-        "sample_stats": by_chain({"lp": posterior.log_density, "ensemble": ensemble}),
         "posterior_predictive": predictive,
         "observed_data": {o.name: o.measured for o in fit.target.likelihood.outputs},
     }
 
 
 def _subset(posterior: Posterior, derived: Group, draws: int) -> Arrays:
-    """Thin the draws of parameters and derived quantities, ``(1, draws)`` each."""
     flat = posterior.flat(draws)
     parameters = dict(zip(posterior.names, flat.T, strict=True))
     return {name: x[None] for name, x in (parameters | derived.named(flat)).items()}
@@ -176,7 +171,6 @@ def _provenance(
 
 
 def _description(row: PosteriorRow) -> dict[str, str]:
-    """Give unit, symbol, meaning, verdict and doubts of a variable."""
     texts = {"units": row.unit or "1", "symbol": row.symbol, "long_name": row.meaning}
     texts |= {"verdict": row.verdict, "doubted": ", ".join(row.doubted)}
     return {key: text for key, text in texts.items() if text}

@@ -95,25 +95,23 @@ class ResultRow:
         return "limit" if self.status == "limit" else "open"
 
     @property
-    def _prior_gives_scale(self) -> bool:
-        return self.by == "limit" and self.posterior is not None and bool(self.posterior.given_by)
-
-    @property
     def verdict(self) -> str:
         """What determined it, for a column of a paper."""
         if not self.converged:
             return "not converged"
         if self.doubted:
             return "doubtful"
-        return "data and prior, on one side" if self._prior_gives_scale else _DETERMINED_BY[self.by]
+        by = self.by
+        if by == "limit" and self.posterior and self.posterior.given_by:
+            return "data and prior, on one side"
+        return _DETERMINED_BY[by]
 
     @property
     def in_words(self) -> str:
         """What determined it, for a page."""
-        long = self.by == "weak" or self._prior_gives_scale
-        if self.posterior is None or self.doubted or not long:
+        if self.posterior is None or "data and prior" not in self.verdict:
             return self.verdict
-        return _weak_by(self.posterior) + (", on one side only" if self._prior_gives_scale else "")
+        return _weak_by(self.posterior) + self.verdict.removeprefix("data and prior")
 
     @property
     def hint(self) -> str:
@@ -161,22 +159,22 @@ class ResultRow:
 
 def estimate_row(name: str, row: ValueRow, converged: bool = True) -> ResultRow:
     """Judge one number of a point estimate, whose search converged or did not."""
-    what: dict[str, Any] = {"value": row.value, "name": name, **described_as(row)}
+    fields: dict[str, Any] = {"value": row.value, "name": name, **described_as(row)}
     if not converged:
         remark = "the search has not converged"
-        return ResultRow(status="undetermined", remark=remark, converged=False, **what)
+        return ResultRow(status="undetermined", remark=remark, converged=False, **fields)
     if row.sd is not None and row.determined is not False and row.at_bound is None:
         accounts = row.sd_robust is not None
-        what |= {"sd": row.sd_robust if accounts else row.sd, "sd_plain": row.sd}
-        return ResultRow(status="determined", accounts=accounts, **what)
+        fields |= {"sd": row.sd_robust if accounts else row.sd, "sd_plain": row.sd}
+        return ResultRow(status="determined", accounts=accounts, **fields)
     # a scaling does not move a zero away from its bound
     if row.span is not None and row.span[0] < row.span[1]:
         low, high = row.span
         remark = f"not determined: {low:.3g} to {high:.3g} fit as well"
-        return ResultRow(status="undetermined", span=(low, high), remark=remark, **what)
+        return ResultRow(status="undetermined", span=(low, high), remark=remark, **fields)
     if row.at_bound is not None:
-        return ResultRow(status="bound", remark=f"at its {row.at_bound} bound", **what)
-    return ResultRow(status="undetermined", remark="not determined", **what)
+        return ResultRow(status="bound", remark=f"at its {row.at_bound} bound", **fields)
+    return ResultRow(status="undetermined", remark="not determined", **fields)
 
 
 def posterior_row(name: str, row: PosteriorRow, accounts: bool) -> ResultRow:
@@ -185,41 +183,32 @@ def posterior_row(name: str, row: PosteriorRow, accounts: bool) -> ResultRow:
     ``accounts`` is whether the noise model accounts for correlated residuals.
     """
     reported = row.reported
-    what: dict[str, Any] = {"name": name, **described_as(row), "posterior": row}
+    fields: dict[str, Any] = {"name": name, **described_as(row), "posterior": row}
+    fields |= {"value": row.value, "doubted": row.converged and bool(row.doubted)}
     if not row.converged:
         remark = "the sampling has not converged"
-        return ResultRow(row.value, "undetermined", remark=remark, converged=False, **what)
-    doubted = bool(row.doubted)
+        return ResultRow(status="undetermined", remark=remark, converged=False, **fields)
     if reported.bound is not None:
         remark = f"{'at most' if reported.at_most else 'at least'} {reported.bound:.3g}"
         return ResultRow(
-            row.value, "limit", level=row.level, limit=reported.bound, at_bound=row.at_bound,
-            bound=row.bound, remark=remark + (f"; {_DOUBTFUL}" if doubted else ""),
-            doubted=doubted, **what,
+            status="limit", level=row.level, limit=reported.bound, at_bound=row.at_bound,
+            bound=row.bound, remark="; ".join([remark] + [_DOUBTFUL] * fields["doubted"]), **fields,
         )  # fmt: skip
     if row.verdict == "prior":
-        return ResultRow(
-            row.value, "undetermined", remark="not determined: prior and bounds", **what
-        )
+        fields |= {"doubted": False, "remark": "not determined: prior and bounds"}
+        return ResultRow(status="undetermined", **fields)
     low, high = reported.interval
     return ResultRow(
-        row.value,
-        "determined",
-        sd=reported.sd,
-        sd_plain=None if accounts else row.sd,
-        accounts=accounts,
-        interval=(low, high),
-        level=row.level,
-        remark="; ".join([_weak_by(row)] * (row.verdict == "weak") + row.remarks),
-        doubted=doubted,
-        **what,
-    )
+        status="determined", sd=reported.sd, sd_plain=None if accounts else row.sd,
+        accounts=accounts, interval=(low, high), level=row.level,
+        remark="; ".join([_weak_by(row)] * (row.verdict == "weak") + row.remarks), **fields,
+    )  # fmt: skip
 
 
 def known_row(name: str, value: float, described: Described) -> ResultRow:
     """Give a parameter that was fixed."""
-    what: dict[str, Any] = described_as(described)
-    return ResultRow(value, "known", remark="taken as known", name=name, **what)
+    fields: dict[str, Any] = described_as(described)
+    return ResultRow(value, "known", remark="taken as known", name=name, **fields)
 
 
 _DOUBTFUL = "doubtful: not what the data determine, see what the run warns of"

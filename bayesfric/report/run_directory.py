@@ -12,7 +12,7 @@ from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.figures.registry import RUN_FIGURES as FIGURES
-from bayesfric.report.figures.registry import Declared, FinishedRun, captions
+from bayesfric.report.figures.registry import Declared, captions
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
@@ -55,12 +55,10 @@ def write_run(
         (partial / "posterior.nc").write_bytes(tree.to_netcdf(engine="h5netcdf"))
         if draws is not None:
             return
-        run = FinishedRun(fit, summary)
         kinds = ALL_KINDS if paper else ON_PAGE
-        drawn = draw(partial / "figures", run, kinds, progress)
-        texts = summary_texts(summary, folder.name) | {
-            "text/captions.md": captions(run, drawn),
-        }
+        drawn = draw(partial / "figures", fit, summary, kinds, progress)
+        texts = summary_texts(summary, folder.name)
+        texts["text/captions.md"] = captions(fit, summary, drawn)
         if paper:
             texts |= latex_texts(summary, folder.name)
         for name, text in texts.items():
@@ -73,14 +71,14 @@ def write_run(
 
 
 def draw(
-    folder: Path, run: FinishedRun, kinds: Sequence[str], progress: ProgressCallback
+    folder: Path, fit: Fit, summary: Summary, kinds: Sequence[str], progress: ProgressCallback
 ) -> list[Declared]:
     """Draw a run's figures into ``folder``, and return those that show anything."""
     folder.mkdir(exist_ok=True)
     drawn = []
     for stem, declared in FIGURES.items():
         progress(Progress(f"figure {stem}"))
-        if (figure := declared.draw(run)) is not None:
+        if (figure := declared.draw(fit, summary)) is not None:
             save(figure, folder, stem, kinds)
             drawn.append(declared)
     return drawn

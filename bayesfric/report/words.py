@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from string import Formatter
@@ -15,36 +14,22 @@ from jinja2 import Environment
 from bayesfric.base.progress import time_text
 from bayesfric.base.templates import environment, percent, placed, two
 from bayesfric.report.numbers import p_text
-
-
-@dataclass(frozen=True)
-class Words:
-    """Of one kind: what it is, and what to do about it; either may be empty."""
-
-    what: str
-    do: str
-    instead: Mapping[str, str]  # what to do instead where there is a value of that name
-    section: str  # of the page, which says more; may be empty
+from bayesfric.results.roll_out import tells_nothing
 
 
 @cache
-def words() -> Mapping[str, Words]:
-    """Read the table."""
-    text = (files("bayesfric.report") / "words.toml").read_text(encoding="utf-8")
-    return {
-        kind: Words(
-            entry.pop("what"),
-            entry.pop("do", ""),
-            section=entry.pop("section", ""),
-            instead={key.removeprefix("do_"): do for key, do in entry.items()},
-        )
-        for kind, entry in tomllib.loads(text).items()
-    }
+def words() -> Mapping[str, Mapping[str, str]]:
+    """Read the table: of each kind ``what`` it is, and what to ``do``.
+
+    ``do_key`` is what to do instead where there is a value of that name, ``section`` that of the
+    page that says more.
+    """
+    return tomllib.loads((files("bayesfric.report") / "words.toml").read_text(encoding="utf-8"))
 
 
-def words_of(kind: str) -> Words:
+def words_of(kind: str) -> Mapping[str, str]:
     """Give the words of a kind; of one from another version its name and parameters."""
-    return words().get(kind, Words("{kind}", "{parameters}", {}, ""))
+    return words().get(kind, {"what": "{kind}", "do": "{parameters}"})
 
 
 def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
@@ -57,8 +42,9 @@ def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
         added = values.get("what", values["kind"])
         return f"added: {line_of(added, values | {'kind': added})}"
     known = words_of(_kind(kind, values))
-    do = next((text for key, text in known.instead.items() if values.get(key)), known.do)
-    what, do = (_FILL.vformat(text, (), values) for text in (known.what, do))
+    instead = (text for key, text in known.items() if key[:3] == "do_" and values.get(key[3:]))
+    do = next(instead, known.get("do", ""))
+    what, do = (_FILL.vformat(text, (), values) for text in (known["what"], do))
     if "hint" in values:
         what, do = _finding(what, do, values)
     return f"{what}: {do}" if do else what
@@ -72,7 +58,7 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
 def clause(kind: str, values: Mapping[str, Any] | None = None) -> str:
     """Say what it is, without what to do, as behind "because"."""
     values = {"kind": kind, **(values or {})}
-    what = _FILL.vformat(words_of(_kind(kind, values)).what, (), values)
+    what = _FILL.vformat(words_of(_kind(kind, values))["what"], (), values)
     if kind == "missing":
         what += f" ({percent(values['share'])} % rms)"
     return what
@@ -141,7 +127,9 @@ FILTERS = {
     "white": lambda white: "pass as white" if white else "do NOT pass as white",
     "listed": listed,
     "spent": time_text,
-    "what": lambda kind: words_of(kind).what,
+    "line": line_of,
+    "too_wide": lambda row: tells_nothing(row["blind"], row["over"]),
+    "what": lambda kind: words_of(kind)["what"],
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,43 +45,6 @@ class Error:
     inside: float  # share of samples inside the band
     inside_alone: float  # and inside that of the parameters alone
     width: float  # median width of the band
-
-
-@dataclass(frozen=True)
-class RollOutRow:
-    """What ``summary.json`` holds of one recording, or of all together."""
-
-    position: Error
-    speed: Error
-    blind: float = 0.0  # share of the time in which the position's band is too wide
-    over: float = 0.0  # share of the draws that went another way over the top
-    part: Part | None = None
-    input: Input | None = None
-
-    @property
-    def narrow(self) -> bool:
-        """Whether the position leaves its bands far too often."""
-        return self.position.inside < FEWEST
-
-    @property
-    def wide(self) -> bool:
-        """Whether being inside the position's band says nothing."""
-        return tells_nothing(self.blind, self.over)
-
-
-@dataclass(frozen=True)
-class RollOutPart:
-    """What ``summary.json`` holds of recordings simulated with draws of the posterior."""
-
-    recordings: dict[str, RollOutRow]
-    pooled: RollOutRow
-    unit: str  # of the position
-    level: float
-    draws: int
-    seed: int
-    unexplained: dict[str, float]
-    left: float
-    torque_unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,26 +105,30 @@ class RollOut:
         return pooled
 
     @property
-    def summary(self) -> RollOutPart:
-        """Its numbers for ``summary.json``."""
+    def summary(self) -> dict[str, Any]:
+        """Its numbers for ``summary.json``: of each recording, and of all together."""
         rows = {
-            r.name: RollOutRow(r.at_position, r.at_speed, r.blind, r.over, r.part, r.input)
+            r.name: {
+                **{w.removeprefix("at_"): vars(getattr(r, w)) for w in WHICH},
+                "blind": r.blind,
+                "over": r.over,
+                "part": r.part,
+                "input": r.input,
+            }
             for r in self.rolled
         }
-        blind = sum(row.blind for row in rows.values()) / len(rows)
-        over = sum(row.over for row in rows.values()) / len(rows)
-        pooled = RollOutRow(self.pooled["at_position"], self.pooled["at_speed"], blind, over)
-        return RollOutPart(
-            rows,
-            pooled,
-            self.rolled[0].unit,
-            self.level,
-            self.draws,
-            self.seed,
-            self.unexplained,
-            self.left,
-            self.torque_unit,
-        )
+        shares = {
+            key: sum(getattr(r, key) for r in self.rolled) / len(rows) for key in ("blind", "over")
+        }
+        pooled = {w.removeprefix("at_"): vars(error) for w, error in self.pooled.items()}
+        return {
+            "recordings": rows,
+            "pooled": {**pooled, **shares, "part": None, "input": None},
+            "unit": self.rolled[0].unit,  # of the position
+            **{key: getattr(self, key) for key in ("level", "draws", "seed", "unexplained")},
+            "left": self.left,
+            "torque_unit": self.torque_unit,
+        }
 
     @property
     def frame(self) -> pd.DataFrame:

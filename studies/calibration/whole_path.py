@@ -49,7 +49,7 @@ def one(task: tuple[int, str, int]) -> dict[str, Any]:
             return {"case": name, "number": number, "refused": str(error)}
     values = np.array([[truth[n] for n in bench.joint.names]])
     true = {**truth, **{q.name: float(q.values[0]) for q in derive(bench.joint, values, 1.0)}}
-    checks = summary.self_check.rows if summary.self_check else {}
+    checks = summary.self_check["rows"] if summary.self_check else {}
     rows = {}
     for key, row in summary.rows.items():
         reported = row.reported
@@ -63,7 +63,7 @@ def one(task: tuple[int, str, int]) -> dict[str, Any]:
             "interval": reported.interval,
             # the posterior alone, and its bias by the calibration check
             "posterior": [row.middle, *row.interval, row.sd],
-            "bias": checks[key].bias if key in checks else None,
+            "bias": checks[key]["bias"] if key in checks else None,
         }
     return {
         "case": name,

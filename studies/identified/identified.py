@@ -134,7 +134,7 @@ def names(text: str, causes: frozenset[str]) -> bool:
     """Whether a text contains the message of one of these kinds."""
     for kind in causes:
         # kinds without a message have only their name
-        parts = [part.strip() for part in re.split(r"\{[^}]*\}", words_of(kind).what)]
+        parts = [part.strip() for part in re.split(r"\{[^}]*\}", words_of(kind)["what"])]
         longest = max(parts, key=len)
         if longest and longest.lower() in text.lower():
             return True

@@ -155,7 +155,7 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
         "case": case,
         "run": run,
         "noise": summary.noise.model,
-        "chance": error.chance if error else None,
+        "chance": error["chance"] if error else None,
         "findings": [finding.kind for finding in summary.findings],
         "rows": rows,
     }

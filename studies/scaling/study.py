@@ -126,7 +126,7 @@ def main() -> None:
             figure = ridge_figure(fitted)
             assert along is not None
             assert figure is not None
-            torques = fitted.target.likelihood.predict(along.line[[0, 50, 100]])
+            torques = fitted.target.likelihood.predict(along[2][[0, 50, 100]])
             changes = [float(np.abs(torque - torque[1]).max()) for torque in torques]
             result["torque_along_the_ridge_changes_by"] = max(changes)
             save(figure, figures, "ridge")

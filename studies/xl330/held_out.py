@@ -49,7 +49,7 @@ def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
     points = [dict(estimate.point) for estimate in estimates if estimate.point]
     result = fit(problem.target(points[0]), tables.sampling, estimates=estimates)
     predictions = predict_held_out(result.target, result.posterior, problem.held_out)
-    record = validation_record(replace(result, held_out=predictions)).as_dict()
+    record = validation_record(replace(result, held_out=predictions))
     return result.target.likelihood.noise.description, record
 
 

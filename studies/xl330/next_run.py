@@ -32,7 +32,7 @@ def fitted(name: str) -> tuple[Summary, RunDraws]:
     flat, rng = posterior.flat(4000), np.random.default_rng(1)
     drawn = {n: p.draw(2000, rng) for n, p in zip(posterior.names, posterior.priors, strict=True)}
     values = {n: flat[:, j] for j, n in enumerate(posterior.names)}
-    return result.summary, RunDraws(values, drawn)
+    return result.summary, (values, drawn)
 
 
 def left_out(runs: dict[str, tuple[Summary, RunDraws]]) -> dict[str, list[dict[str, Any]]]:

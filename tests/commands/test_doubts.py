@@ -9,9 +9,9 @@ import pytest
 import bayesfric as bf
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import PRESETS
-from bayesfric.report.messages import messages_of
 from bayesfric.report.summary.doubts import find_doubts
 from bayesfric.report.summary.record import Summary
+from bayesfric.report.terminal import messages_of
 from tests.axis import AXIS, VALUES, recording_of, swing
 from tests.report.made_summaries import FOUND, knee
 

@@ -97,7 +97,7 @@ def test_of_a_long_recording_a_subsample_is_tested(monkeypatch):
     before = model.fit(seed=1)
     monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", len(columns) - 1)
     after = model.fit(seed=1)
-    assert after.summary.regression.share == pytest.approx(0.5, abs=0.01)
+    assert after.summary.regression["share"] == pytest.approx(0.5, abs=0.01)
     assert [f.kind for f in after.summary.findings] == ["saturation"]
     full, subsampled = (run.fit.discrepancy for run in (before, after))
     # half of the samples show what is missing nearly as all do, and what it moves on their motion;

@@ -31,7 +31,7 @@ def test_a_unit_is_a_small_run_until_its_configuration_or_recording_changes(tmp_
     os.utime(tmp_path / "u0.csv", (later, later))
     assert not is_fitted(run, text, plan.template)
     assert sum(file.stat().st_size for file in run.iterdir()) < 130_000
-    draws = read_draws(run, Summary.read(read_summary_file(run))).values
+    draws, _ = read_draws(run, Summary.read(read_summary_file(run)))
     assert {x.size for x in draws.values()} == {300}
 
 

@@ -10,7 +10,7 @@ from bayesfric.inference.likelihood import StaticFriction
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.report.messages import messages_of
+from bayesfric.report.terminal import messages_of
 from tests.axis import AXIS, VALUES
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

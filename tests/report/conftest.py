@@ -131,7 +131,7 @@ def written_run(tmp_path_factory):
         # one of bands, one of many panels, one with pixels in it
         some = ("prediction", "corner", "ridge")
         drawn = {s: run_directory.FIGURES[s] for s in some}
-        small = replace(run_directory.FIGURES["methods"], draw=lambda _: Figure(figsize=(3.0, 1.0)))
+        small = replace(run_directory.FIGURES["methods"], draw=lambda *_: Figure(figsize=(3, 1)))
         patch.setattr(run_directory, "FIGURES", {"methods": small} | drawn)
         config = '[simulation]\nnote = "</script><b>"\n'
         summary = summarise(fit).as_dict() | {"may_be_simulated": True}

@@ -42,14 +42,14 @@ TORQUE = {
 FOUND = {
     **{"kind": "spring", "severity": "doubt", "parameters": ["motor.viscous"], "p": 1 / 61},
     **{"hint": "mechanism.load.spring = true", "statistic": 9.0, "share": 0.123},
-    "moves": {"motor.viscous": 2.0},
+    **{"moves": {"motor.viscous": 2.0}, "shape": "", "rivals": []},
 }
 
 
-def posterior_row(unit, mean, sd, *, gauge_free=None, verdict="data", **more):
+def posterior_row(unit, mean, sd, *, verdict="data", **more):
     row = {"unit": unit, "meaning": "made up", "mean": mean, "sd": sd, "median": mean}
     row |= {"interval": [mean - 1.645 * sd, mean + 1.645 * sd], "level": 0.9, "verdict": verdict}
-    return row | more | ({} if gauge_free is None else {"gauge_free": gauge_free})
+    return row | more
 
 
 def estimated(unit, symbol, value, sd, robust, kind, **more):
@@ -58,10 +58,10 @@ def estimated(unit, symbol, value, sd, robust, kind, **more):
     return row | {"at_bound": None, "span": None, **more}
 
 
-def left_open(name, **more):
+def left_open(name):
     unit, symbol, value, span = LEG[name]
-    told = {"gauge_free": False, "determined": False, "span": list(span), **more}
-    return estimated(unit, symbol, value, None, None, "parameter", **told)
+    is_open = {"gauge_free": False, "determined": False, "span": list(span)}
+    return estimated(unit, symbol, value, None, None, "parameter", **is_open)
 
 
 def method(shift):
@@ -75,54 +75,39 @@ def method(shift):
 
 def knee():
     """Return a run with all methods; the leg's parameters are open."""
-    both = DERIVED | TOTALS
+    least_squares = {
+        name: estimated(unit, symbol, value - 1.4 * robust, sd, robust, "total")
+        for name, (unit, symbol, value, sd, robust) in TOTALS.items()
+    }
+    estimates = {
+        "output-error": {
+            "parameters": method(0.8), "residual_rms": 3.1e-4, "residual_unit": "rad",
+            "assumption": "sd: encoder noise only; sd_robust: correlated residuals (HAC)",
+            "notes": ["stopped after 12 iterations"],
+        },
+        "input-error": {"parameters": method(-0.6), "residual_rms": 6.3e-3, **TORQUE},
+        "least-squares": {"parameters": least_squares, "residual_rms": 7.1e-3, **TORQUE},
+    }  # fmt: skip
+    parameters = {
+        name: posterior_row(unit, value, sd, data_sd=sd, prior_sd=10 * value)
+        for name, (unit, _, value, _, sd) in MOTOR.items()
+    }
+    parameters |= {
+        name: posterior_row(unit, value, 0.15 * value, verdict="prior", data_sd=None)
+        for name, (unit, _, value, _) in LEG.items()
+    }
     return {
         "bayesfric": __version__,
-        "parameters": {
-            **{
-                name: posterior_row(unit, value, sd, data_sd=sd, prior_sd=10 * value)
-                for name, (unit, _, value, _, sd) in MOTOR.items()
-            },
-            **{
-                name: posterior_row(unit, value, 0.15 * value, verdict="prior", data_sd=None)
-                for name, (unit, _, value, _) in LEG.items()
-            },
-            "noise.sigma": posterior_row("N m", 0.0063, 1e-4, data_sd=1e-4),
-        },
+        "parameters": parameters
+        | {"noise.sigma": posterior_row("N m", 0.0063, 1e-4, data_sd=1e-4)},
         "derived": {
             name: posterior_row(unit, value, sd, gauge_free=True)
-            for name, (unit, _, value, _, sd) in both.items()
+            for name, (unit, _, value, _, sd) in (DERIVED | TOTALS).items()
         },
-        "estimates": {
-            "output-error": {
-                "parameters": method(0.8),
-                "residual_rms": 3.1e-4,
-                "residual_unit": "rad",
-                "assumption": "sd: encoder noise only; sd_robust: correlated residuals (HAC)",
-                "notes": ["stopped after 12 iterations"],
-            },
-            "input-error": {
-                "parameters": method(-0.6),
-                "residual_rms": 6.3e-3,
-                **TORQUE,
-            },
-            "least-squares": {
-                "parameters": {
-                    name: estimated(unit, symbol, value - 1.4 * robust, sd, robust, "total")
-                    for name, (unit, symbol, value, sd, robust) in TOTALS.items()
-                },
-                "residual_rms": 7.1e-3,
-                **TORQUE,
-            },
-        },
+        "estimates": estimates,
         "references": {
             "load.first_moment": {"value": 0.41, "sd": None, "unit": "kg m", "source": "CAD"},
-            "motor.inertia": {
-                "value": 3.32e-4,
-                "sd": 1e-5,
-                "unit": "kg m²",
-                "source": "data sheet",
-            },
+            "motor.inertia": {"value": 3.32e-4, "sd": 1e-5, "unit": "kg m²", "source": "sheet"},
         },
         "likelihood": {"method": "input-error"},
         "noise": {"model": "AR(2)", "residual_lag1": 0.02, "accounts_for_correlation": True},

@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from bayesfric.report.comparison.between_runs import RunDraws, between_runs, between_runs_csv
-from bayesfric.report.page.pages import Provenance, shared_recordings
+from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
+from bayesfric.report.page.pages import shared_recordings
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import LEG, knee, loaded
@@ -52,7 +52,7 @@ def test_a_run_whose_prior_has_a_say_counts_by_its_draws_only():
     row, rng = runs["c"].parameters["motor.viscous"], np.random.default_rng(1)
     drawn = {"motor.viscous": row.mean + row.sd * rng.standard_normal(4000)}
     prior = {"motor.viscous": row.mean + rng.standard_normal(2000)}
-    for draws, expected in ((None, {"a", "b"}), ({"c": RunDraws(drawn, prior)}, {"a", "b", "c"})):
+    for draws, expected in ((None, {"a", "b"}), ({"c": (drawn, prior)}, {"a", "b", "c"})):
         pooled = {quantity.name: quantity for quantity in between_runs(runs, draws)}
         assert set(pooled["motor.viscous"].runs) == expected
 
@@ -95,11 +95,11 @@ def test_a_run_whose_ensembles_disagree_is_not_averaged_in():
 def test_runs_of_the_same_seconds_of_a_recording_are_found():
     """Older runs do not tell which part they saw: then it may be the same."""
     recordings = {"a": {"r": "ab"}, "b": {"x": "ab", "y": "cd"}, "c": {"z": "ef"}, "d": {"q": ""}}
-    runs = {name: Provenance(recordings=hashes) for name, hashes in recordings.items()}
+    runs = {name: {"recordings": hashes, "spans": {}} for name, hashes in recordings.items()}
     assert shared_recordings(runs | {"e": None, "f": runs["d"]}) == [("a", "b")]
     spans = {"first": [8.0, 34.0], "second": [34.1, 60.0], "both": [8.0, 60.0], "old": None}
     runs = {
-        name: Provenance(recordings={"r": "ab"}, spans={"r": span} if span else {})
+        name: {"recordings": {"r": "ab"}, "spans": {"r": span} if span else {}}
         for name, span in spans.items()
     }
     apart = ("first", "second")

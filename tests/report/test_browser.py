@@ -6,10 +6,7 @@ import time
 
 import pytest
 
-from bayesfric.commands.runs import compare
-
 from .made_fleet import COUNT, WORN, write_fleet
-from .made_summaries import knee, loaded, write_draws
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 from selenium.webdriver.chrome.service import Service  # noqa: E402
@@ -67,16 +64,9 @@ def browser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pages(written_run, tmp_path_factory):
-    """Copies of all pages in a folder that holds nothing else."""
+    """Copies of the pages of a run and a fleet in a folder that holds nothing else."""
     alone = tmp_path_factory.mktemp("alone")
     shutil.copyfile(written_run / "report.html", alone / "run.html")
-    runs = tmp_path_factory.mktemp("runs")
-    for name, summary in (("knee", knee()), ("loaded", loaded())):
-        (runs / name).mkdir()
-        (runs / name / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
-        write_draws(runs / name / "posterior.nc", summary)
-    compare([runs / "knee", runs / "loaded"], runs / "out")
-    shutil.copyfile(runs / "out" / "report.html", alone / "compare.html")
     fleet = tmp_path_factory.mktemp("fleet")
     write_fleet(fleet)
     shutil.copyfile(fleet / "fleet.html", alone / "fleet.html")
@@ -89,7 +79,7 @@ def events(browser, method):
     return [message["params"] for message in messages if message["method"] == method]
 
 
-@pytest.mark.parametrize("name", ["run.html", "compare.html", "fleet.html"])
+@pytest.mark.parametrize("name", ["run.html", "fleet.html"])
 def test_a_page_works_alone(browser, pages, written_run, name):
     for log in ("browser", "performance"):  # of the page before
         browser.get_log(log)

@@ -17,18 +17,14 @@ from bayesfric.report.comparison.comparison import (
     comparison_dict,
     comparison_text,
 )
-from bayesfric.report.messages import messages_of
 from bayesfric.report.result_row import result_rows
+from bayesfric.report.terminal import messages_of
 
 from .made_summaries import DERIVED, LEG, MOTOR, TOTALS, estimated, knee, loaded, posterior_row
 
 
 def cell(runs, name, column="posterior"):
     return comparison(runs)[name].cells[column]
-
-
-def csv_rows(compared):
-    return list(csv.DictReader(io.StringIO(comparison_csv(compared))))
 
 
 # -- arithmetic
@@ -69,23 +65,26 @@ def test_disagreement_of_references_and_runs_adds_their_variance():
     assert cad.disagreement == pytest.approx((0.41 - row["mean"]) / row["sd"], rel=1e-12)
 
 
-def test_totals_of_the_motion_are_not_measured_between_runs():
+def test_totals_of_the_motion_and_limits_are_not_measured_everywhere():
     a, b = knee(), loaded()
     b["derived"]["total.inertia"]["of_motion"] = True
     assert cell({"a": a, "b": b}, "total.inertia", "b: posterior").disagreement is None
     assert cell({"a": a, "b": b}, "total.viscous", "b: posterior").disagreement is not None
     # of one recording the methods have one motion
     assert cell({"b": b}, "total.inertia", "input-error").disagreement is not None
+    # the same run's estimates know no limit
+    assert cell({"a": a}, "motor.viscous", "input-error").disagreement is not None
+    a["parameters"]["motor.viscous"] |= {"at_bound": "lower", "bound": 0.0}
+    assert cell({"a": a}, "motor.viscous", "input-error").disagreement is None
 
 
 def test_estimates_that_disagree_are_named():
     run = knee()
     row = run["estimates"]["least-squares"]["parameters"]["total.inertia"]
-    row["value"] += 4.0 * TOTALS["total.inertia"][4]
-    # 1.4 - 4 sds: 2.6, and then 3.6
-    assert comparison({"knee": run}).contested == ()
-    row["value"] += 1.0 * TOTALS["total.inertia"][4]
-    assert comparison({"knee": run}).contested == ("total.inertia",)
+    for sds, contested in ((4.0, ()), (1.0, ("total.inertia",))):
+        row["value"] += sds * TOTALS["total.inertia"][4]
+        # 1.4 - 4 sds: 2.6, and then 3.6
+        assert comparison({"knee": run}).contested == contested
     (message,) = [message for message in messages_of(run) if message.kind == "methods"]
     assert "total.inertia" in message.text
 
@@ -120,14 +119,13 @@ def test_estimates_of_another_run_saw_other_data():
     assert estimate.disagreement == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_sd_is_the_one_for_correlated_residuals():
-    *_, plain, robust = TOTALS["total.inertia"]
-    shown = cell({"knee": knee()}, "total.inertia", "least-squares")
-    assert (shown.sd, shown.sd_plain, shown.accounts) == (robust, plain, True)
+@pytest.mark.parametrize("robust", [TOTALS["total.inertia"][4], None])
+def test_the_sd_is_the_one_for_correlated_residuals(robust):
+    *_, plain, _ = TOTALS["total.inertia"]
     run = knee()
-    run["estimates"]["least-squares"]["parameters"]["total.inertia"]["sd_robust"] = None
+    run["estimates"]["least-squares"]["parameters"]["total.inertia"]["sd_robust"] = robust
     shown = cell({"white": run}, "total.inertia", "least-squares")
-    assert (shown.sd, shown.sd_plain, shown.accounts) == (plain, plain, False)
+    assert (shown.sd, shown.sd_plain, shown.accounts) == (robust or plain, plain, bool(robust))
 
 
 WHITE = {"model": "white", "accounts_for_correlation": False}
@@ -205,29 +203,10 @@ def test_the_side_that_faces_the_other_counts(first, median, half, facing, apart
         assert bool(compared.runs_apart) == apart
 
 
-def test_of_the_same_runs_estimates_a_limit_is_not_measured():
-    run = knee()
-    assert cell({"a": run}, "motor.viscous", "input-error").disagreement is not None
-    run["parameters"]["motor.viscous"] |= {"at_bound": "lower", "bound": 0.0}
-    assert cell({"a": run}, "motor.viscous", "input-error").disagreement is None
-
-
 # -- what is open
 
 
-@pytest.mark.parametrize("runs", [{"a": knee()}, {"a": knee(), "b": loaded()}])
-@pytest.mark.parametrize("estimates", [False, True])
-def test_open_numbers_carry_no_sd_and_no_interval(runs, estimates):
-    rows = comparison(runs, estimates=estimates).rows
-    left = [(row.name, c) for row in rows for c in row.cells.values() if c.status == "undetermined"]
-    assert {name for name, _ in left} >= set(LEG)
-    for _, shown in left:
-        assert (shown.sd, shown.sd_plain, shown.interval, shown.level) == (None,) * 4
-        assert shown.disagreement is None
-        assert shown.remark.startswith("not determined")
-
-
-def test_open_numbers_are_printed_nowhere():
+def test_open_numbers_have_no_sd_no_interval_and_are_printed_nowhere():
     """Odd digits put into every sd and interval of the leg must not come out again."""
     run = knee()
     for name in LEG:
@@ -236,10 +215,18 @@ def test_open_numbers_are_printed_nowhere():
             # a file that contradicts itself: not determined, yet with sds
             sds = {"sd": 0.0717171, "sd_robust": 0.1717171}
             run["estimates"][method]["parameters"][name] |= sds
-    compared = comparison({"a": run})
-    views = ["\n".join(comparison_text(compared)), comparison_csv(compared)]
-    for text in (*views, json.dumps(comparison_dict(compared))):
-        assert not re.search(r"0?\.0?717\d*|0?\.1717|0?\.9717|717171", text)
+    for runs in ({"a": run}, {"a": run, "b": loaded()}):
+        compared = comparison(runs, estimates=True)
+        cells = [(row.name, c) for row in compared.rows for c in row.cells.values()]
+        left = [(name, c) for name, c in cells if c.status == "undetermined"]
+        assert {name for name, _ in left} == set(LEG)
+        for _, shown in left:
+            numbers = shown.sd, shown.sd_plain, shown.interval, shown.level, shown.disagreement
+            assert numbers == (None,) * 5
+            assert shown.remark.startswith("not determined")
+        views = ["\n".join(comparison_text(compared)), comparison_csv(compared)]
+        for text in (*views, json.dumps(comparison_dict(compared))):
+            assert not re.search(r"0?\.0?717\d*|0?\.1717|0?\.9717|717171", text)
 
 
 def test_an_estimate_that_did_not_converge_is_open_in_its_own_column_only():
@@ -284,27 +271,23 @@ def test_what_is_known_is_no_result():
 # -- layouts
 
 
-def test_what_is_doubtful_is_so_in_a_tables_status():
+def test_csv_and_json_hold_the_same():
     run = loaded()
     doubted = {"verdict": "weak", "doubted": ["some"]}
     run["parameters"]["motor.inertia"] |= doubted
     limit = {"at_bound": "lower", "bound": 0.0, "data_sd": 1e-3, "prior_sd": 1.0}
     run["parameters"]["load.inertia"] |= doubted | limit
-    rows = csv_rows(comparison({"run": run}))
-    status = {row["name"]: row["status"] for row in rows if row["column"] == "posterior"}
-    assert (status["motor.inertia"], status["load.inertia"]) == ("doubtful", "doubtful")
-    assert status["motor.viscous"] == "determined"
-
-
-def test_csv_and_json_hold_the_same():
-    compared = comparison({"a": knee(), "b": loaded()}, estimates=True)
+    compared = comparison({"a": knee(), "b": run}, estimates=True)
     record = json.loads(json.dumps(comparison_dict(compared), allow_nan=False))
-    rows = csv_rows(compared)
+    rows = list(csv.DictReader(io.StringIO(comparison_csv(compared))))
     assert len(rows) == sum(len(row.cells) for row in compared.rows)
     for row in rows:
         stored = record["quantities"][row["name"]]["columns"][row["column"]]
-        assert (float(row["value"]), row["status"]) == (stored["value"], stored["status"])
+        status = "doubtful" if stored["doubted"] else stored["status"]
+        assert (float(row["value"]), row["status"]) == (stored["value"], status)
         assert row["sd"] == ("" if stored["sd"] is None else str(stored["sd"]))
+    doubtful = {row["name"] for row in rows if row["status"] == "doubtful"}
+    assert doubtful == {"motor.inertia", "load.inertia"}
 
 
 # -- what cannot be compared

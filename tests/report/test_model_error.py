@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.discrepancy import Discrepancy
-from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
-from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.figures.registry import RUN_FIGURES
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import add_model_error
@@ -40,28 +39,27 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
     ).parameters[NAME]
     assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
     assert result_rows(wrong.summary)[NAME].status == "determined"
-    told = wrong.summary.with_rows({NAME: dict(row)})
-    assert result_rows(told)[NAME].limit == row.model_error_interval[1]
+    widened = wrong.summary.with_rows({NAME: dict(row)})
+    assert result_rows(widened)[NAME].limit == row.model_error_interval[1]
 
 
 def test_figures_show_what_the_tables_print(wrong):
     """Densities of the widened draws, their dotted ends the tables' intervals."""
-    run = FinishedRun(wrong.fit, wrong.summary)
-    figure = RUN_FIGURES["corner"].draw(run)
+    figure = RUN_FIGURES["corner"].draw(wrong.fit, wrong.summary)
     row = wrong.summary.parameters[NAME]
-    table = {r.name: r for r in parameter_table(wrong.summary).rows}
-    found = []
+    interval = result_rows(wrong.summary)[NAME].interval
+    sds = []
     for ax in figure.axes:
         fills = [p for p in ax.patches if p.get_gid() == "posterior"]
         ends = [x.get_xdata()[0] for x in ax.lines if x.get_linewidth() == 0.7]
-        if fills and len(ends) == 2 and np.allclose(sorted(ends), table[NAME].interval, rtol=1e-9):
+        if fills and len(ends) == 2 and np.allclose(sorted(ends), interval, rtol=1e-9):
             values, edges, _ = fills[0].get_data()
             middles = 0.5 * (edges[1:] + edges[:-1])
             mean = np.average(middles, weights=values)
-            found.append(np.sqrt(np.average((middles - mean) ** 2, weights=values)))
-    assert found, "no panel has the interval of the tables"
+            sds.append(np.sqrt(np.average((middles - mean) ** 2, weights=values)))
+    assert sds, "no panel has the interval of the tables"
     # of 40 bins, and a thousandth of the draws beyond either end
-    assert found[0] == pytest.approx(row.model_error_sd, rel=0.05)
+    assert sds[0] == pytest.approx(row.model_error_sd, rel=0.05)
     assert row.model_error_sd > 1.2 * row.sd
 
 
@@ -70,11 +68,10 @@ def test_every_view_goes_by_the_wide_one(wrong):
     assert row.reported.interval == row.model_error_interval
     cell = result_rows(wrong.summary)[NAME]
     assert (cell.interval, cell.sd) == (tuple(row.model_error_interval), row.model_error_sd)
-    told = wrong.summary.frame.set_index("name").loc[NAME]
-    assert [told["low"], told["high"]] == row.model_error_interval
+    frame = wrong.summary.frame.set_index("name").loc[NAME]
+    assert [frame["low"], frame["high"]] == row.model_error_interval
     # figures of friction draw from it
     drawn = wrong.fit.wide.posterior.draws[..., wrong.fit.posterior.names.index(NAME)]
-    assert drawn.shape[:2] == wrong.fit.posterior.draws.shape[:2]
     assert np.quantile(drawn, [0.05, 0.95]) == pytest.approx(row.model_error_interval)
     # derived quantities widen too, and noise keeps its interval
     totals = [row for name, row in wrong.summary.derived.items() if name.startswith("total")]
@@ -94,6 +91,6 @@ def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
     moves[:, at] = 3.0 * prior * np.random.default_rng(7).standard_normal(4000)
     room = Discrepancy(1.0, moves, np.zeros(k), np.eye(k))
     fit = replace(fit, discrepancy=room)
-    found = add_model_error(plain, fit, groups(fit))
-    assert found.parameters["motor.coulomb"].verdict == "weak"
-    assert found.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict
+    widened = add_model_error(plain, fit, groups(fit))
+    assert widened.parameters["motor.coulomb"].verdict == "weak"
+    assert widened.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict

@@ -70,36 +70,30 @@ def test_every_variable_carries_unit_symbol_meaning_and_verdict(run):
     for group in ("posterior", "prior"):
         assert set(data[group].data_vars) == set(summary.parameters)
         for name, row in summary.parameters.items():
-            told = data[group][name].attrs
-            assert told["units"] == (row.unit or "1")
-            assert (told["symbol"], told["long_name"]) == (row.symbol, row.meaning)
-            assert told["verdict"] == row.verdict
+            stored = data[group][name].attrs
+            expected = [row.unit or "1", row.symbol, row.meaning, row.verdict]
+            assert [stored[k] for k in ("units", "symbol", "long_name", "verdict")] == expected
     assert json.loads(data.attrs["noise"]) == summary.noise.as_dict()
     assert data.attrs["status"] == "reliable"
 
 
 def test_derived_quantities_are_those_of_the_summary(run):
     _, summary, data = run
-    found = data["derived"].data_vars
-    assert {"total_drive.inertia", "gearbox.alpha_drive"} <= set(found) <= set(summary.derived)
-    for name in found:
-        row, draws = summary.derived[name], found[name]
+    variables = data["derived"].data_vars
+    assert {"total_drive.inertia", "gearbox.alpha_drive"} <= set(variables) <= set(summary.derived)
+    for name in variables:
+        row, draws = summary.derived[name], variables[name]
         assert np.nanmedian(draws.values) == pytest.approx(row.median, rel=1e-12)
         assert draws.attrs["units"] == (row.unit or "1")
         assert draws.attrs["verdict"] == row.verdict
         assert draws.sizes["chain"] == data["posterior"].sizes["chain"]
 
 
-@pytest.mark.parametrize("made", [knee, every_kind])
-def test_reading_and_writing_a_summary_changes_nothing(made):
-    summary = Summary.read(made())
-    assert Summary.read(summary.as_dict()) == summary
-
-
-def test_a_data_frame_has_a_line_for_each_number():
-    summary = Summary.read(every_kind())
+def test_reading_and_writing_a_summary_changes_nothing_and_its_frame_has_every_number():
+    for run in (knee(), every_kind()):
+        summary = Summary.read(run)
+        assert Summary.read(summary.as_dict()) == summary
     frame = summary.frame.set_index("name")
     assert list(frame.index) == [*summary.parameters, *summary.derived]
     line = frame.loc["motor.coulomb_positive"]
-    assert (line["value"], line["low"], line["high"]) == (0.016, 0.002, 0.051)
-    assert line["unit"] == "N m"
+    assert (line["value"], line["low"], line["high"], line["unit"]) == (0.016, 0.002, 0.051, "N m")

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.recordings.source import Processing
 from bayesfric.report.figures.prediction import binned, prediction_figure, predictive, residuals
-from bayesfric.report.figures.style import save
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import NOISE, by_gid
@@ -52,13 +50,6 @@ def test_lines_break_where_outputs_are_missing(knee):
         assert np.diff(t)[np.isfinite(y[:-1]) & np.isfinite(y[1:])].max() < 1.5 * o.period
     # the band is a polygon for each run of outputs
     assert len(by_gid(above, "band").get_paths()) == gaps + 1
-
-
-def test_long_recordings_become_pixels(make_fit, tmp_path):
-    fit = make_fit(samples=40_000, processing=Processing(lowpass=0, decimate=1, dead_zone=0))
-    save(prediction_figure(fit), tmp_path, "long", ("pdf",))
-    assert fit.observations[0].measured.size > 30_000
-    assert (tmp_path / "long.pdf").stat().st_size < 600_000
 
 
 def disturbed(fit, change):

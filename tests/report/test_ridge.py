@@ -85,8 +85,8 @@ def test_flat_priors_and_dissipativity_alone_make_the_posterior_of_the_scale(fla
 
 
 def test_the_line_ends_where_an_alpha_is_one(flat):
-    known, names = ridge(flat), list(flat.chain.names)
-    mu_1, mu_2 = (known.line[:, names.index(f"gearbox.load_{side}")] for side in ("drive", "back"))
+    (_, bounds, line), names = ridge(flat), list(flat.chain.names)
+    mu_1, mu_2 = (line[:, names.index(f"gearbox.load_{side}")] for side in ("drive", "back"))
     assert mu_2[0] == pytest.approx(0.0, abs=1e-12)
     assert mu_1[-1] == pytest.approx(0.0, abs=1e-12)
     # in the paper's words 1/alpha_2 <= k <= 1/alpha_1, for the line and for every draw
@@ -94,7 +94,7 @@ def test_the_line_ends_where_an_alpha_is_one(flat):
         assert values.min() >= -1e-12
     # everything behind the gearbox times 1/alpha is what the motor feels: constant
     for name in names:
-        values = known.line[:, names.index(name)]
+        values = line[:, names.index(name)]
         if name.startswith(("joint.", "load.")):
             np.testing.assert_allclose(
                 values * (1.0 + mu_1), values[0] * (1.0 + mu_1[0]), rtol=1e-12
@@ -102,18 +102,18 @@ def test_the_line_ends_where_an_alpha_is_one(flat):
         elif name.startswith("motor."):
             assert np.ptp(values) == 0.0
     # from end to end it is as long as the interval of factors
-    low, high = known.bounds
+    low, high = bounds
     assert 1.0 + mu_1[0] == pytest.approx(high / low, rel=1e-12)
     median = np.median(flat.chain_draws(), axis=0)
     ends = [
         1.0 - median[names.index("gearbox.load_back")],
         1.0 + median[names.index("gearbox.load_drive")],
     ]
-    assert known.bounds == pytest.approx(ends, rel=1e-14)
+    assert bounds == pytest.approx(ends, rel=1e-14)
 
 
 def test_a_known_mass_shows_in_the_torque_along_the_line(loaded):
-    line = ridge(loaded).line[[0, 50, 100]]
+    line = ridge(loaded)[2][[0, 50, 100]]
     plain, heavy = (
         np.ptp(torque, axis=0).max() for torque in loaded.target.likelihood.predict(line)
     )

@@ -8,12 +8,10 @@ from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.pages import run_page
-from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.parts import self_check_doubts, self_check_part
-from bayesfric.report.summary.record import ModelError
 from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
 from tests.report.page_reader import read_page
@@ -39,26 +37,26 @@ def checked(result, missed, unexplained=0.0, n=40, share=1.0):
     return CalibrationCheck(truth, *errors, 1.0, 2.0, share=share)
 
 
-def told(result, found):
-    part = self_check_part(result.fit, result.summary, found, groups(result.fit))
+def with_check(result, check):
+    part = self_check_part(result.fit, result.summary, check, groups(result.fit))
     return result.summary.model_copy(update={"self_check": part})
 
 
 def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
-    summary = told(result, checked(result, [2.0]))
-    check = summary.self_check.rows[NAME]
-    assert check.bias == pytest.approx(2.0)
-    assert check.bias_error == pytest.approx(0.0, abs=1e-6)
+    summary = with_check(result, checked(result, [2.0]))
+    check = summary.self_check["rows"][NAME]
+    assert check["bias"] == pytest.approx(2.0)
+    assert check["bias_error"] == pytest.approx(0.0, abs=1e-6)
     width = summary.parameters[NAME].reported.sd / summary.parameters[NAME].sd
     reach = 1.645 * width
     held = norm.cdf(reach - 2.0) - norm.cdf(-reach - 2.0)
-    assert check.coverage == pytest.approx(held, abs=1e-3)
+    assert check["coverage"] == pytest.approx(held, abs=1e-3)
     doubted = [name for doubt in self_check_doubts(summary) for name in doubt["parameters"]]
     assert doubted == ([NAME] if held < 0.75 else [])
 
 
 def test_what_no_shift_mends_is_doubtful_and_said_first(result):
-    summary = told(result, checked(result, [3.0, -3.0]))
+    summary = with_check(result, checked(result, [3.0, -3.0]))
     (doubt,) = self_check_doubts(summary)
     assert doubt["parameters"] == [NAME]
     after = put_doubts(summary, [doubt])
@@ -69,21 +67,21 @@ def test_what_no_shift_mends_is_doubtful_and_said_first(result):
 
 def test_what_filters_leave_of_the_torque_is_no_noise(result):
     """The noise's scale holds it: of so wide intervals more hold the truth."""
-    half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
-    assert half.unexplained == 0.5
+    half = with_check(result, checked(result, [0.0], unexplained=0.5)).self_check
+    assert half["unexplained"] == 0.5
     row = result.summary.parameters[NAME]
     reach = 1.645 * np.sqrt(2.0) * row.reported.sd / row.sd
-    assert half.rows[NAME].coverage == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
+    assert half["rows"][NAME]["coverage"] == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
 
 
 def test_the_whole_scatters_less_than_its_excerpts(result):
     """By the root of the share, and of what forty of them leave unknown of the bias."""
-    check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check.rows[NAME]
-    assert check.bias_error == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
+    check = with_check(result, checked(result, [3.0, -3.0], share=0.05)).self_check["rows"][NAME]
+    assert check["bias_error"] == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
     row = result.summary.parameters[NAME]
     reach, off = 1.645 * row.reported.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
     held = norm.cdf(reach - off) - norm.cdf(-reach - off)
-    assert check.coverage == pytest.approx(held, abs=1e-3)
+    assert check["coverage"] == pytest.approx(held, abs=1e-3)
 
 
 @pytest.mark.parametrize("wide", [0.0, 5.0, 3000.0])
@@ -95,38 +93,29 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
         row = summary.rows[NAME]
         low, high = (row.median + wide * (end - row.median) for end in row.interval)
         wider = {"model_error_interval": [low, high], "model_error_sd": wide * row.sd}
-        summary = summary.with_rows({NAME: wider}, model_error=ModelError(shown=True))
+        summary = summary.with_rows({NAME: wider}, model_error={"shown": True})
     if doubted:
         summary = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
     row = summary.rows[NAME]
-    one = row.reported
-    assert one.value == row.middle
+    printed = row.reported
+    assert printed.value == row.middle
     if wide:
-        assert one.interval == list(row.model_error_interval)
-        assert one.sd == row.model_error_sd
-    assert one.status == ("doubtful" if doubted else "identified")
-    table = parameter_table(summary)
-    (line,) = (r for r in table.rows if r.name == NAME)
-    assert (line.value, line.interval, line.sd) == (
-        one.value,
-        tuple(one.interval),
-        one.sd,
-    )
-    assert result_rows(summary)[NAME].interval == tuple(one.interval)
-    (column,) = (c for c in comparison({"run": summary}).rows if c.name == NAME)
-    assert column.cells["posterior"].value == one.value
-    (printed,) = (x for x in brief(summary).lines if x.name == NAME)
-    (shown,) = (x for x in fit_text(summary) if x.startswith(f"{NAME} "))
-    page = read_page(run_page(tmp_path, summary, "run"))
-    (first,) = page.all("section", id="findings")
-    (cells,) = (tr for tr in first.all("tr") if tr.attrs.get("data-name") == NAME)
-    for text in (printed.value, printed.sd, printed.interval):
-        assert text in shown
-        assert text in cells.text
-    fine = finer(one.value, *one.interval, one.sd)
-    assert printed.interval == TEXT.interval(*one.interval, fine)
-    for medium in (TEXT, HTML, LATEX):
-        assert medium.interval(*one.interval, fine) in line.shown(medium)[1]
+        assert (printed.interval, printed.sd) == (row.model_error_interval, row.model_error_sd)
+    assert printed.status == ("doubtful" if doubted else "identified")
+    numbers = printed.value, tuple(printed.interval), printed.sd
+    line = result_rows(summary)[NAME]
+    column = comparison({"run": summary})[NAME].cells["posterior"]
+    for shown in (line, column):
+        assert (shown.value, shown.interval, shown.sd) == numbers
     frame = summary.frame.set_index("name").loc[NAME]
-    assert [frame["low"], frame["high"]] == one.interval
-    assert ("doubtful" in shown) == doubted
+    assert (frame["value"], (frame["low"], frame["high"]), frame["sd"]) == numbers
+    (cells,) = (line for line in brief(summary)["lines"] if line[0] == NAME)
+    (terminal,) = (x for x in fit_text(summary) if x.startswith(f"{NAME} "))
+    (first,) = read_page(run_page(tmp_path, summary, "run")).all("section", id="findings")
+    (page,) = (tr for tr in first.all("tr") if tr.attrs.get("data-name") == NAME)
+    assert all(text in terminal and text in page.text for text in cells[1:4])
+    fine = finer(printed.value, *printed.interval, printed.sd)
+    assert cells[3] == TEXT.interval(*printed.interval, fine)
+    for medium in (TEXT, HTML, LATEX):
+        assert medium.interval(*printed.interval, fine) in line.shown(medium)[1]
+    assert ("doubtful" in terminal) == doubted

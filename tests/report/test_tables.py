@@ -15,7 +15,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.source import Processing
 from bayesfric.report import numbers
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
+from bayesfric.report.figures.registry import RUN_FIGURES
 from bayesfric.report.figures.style import save
 from bayesfric.report.paper.tables import (
     escaped,
@@ -38,7 +38,7 @@ def test_what_least_squares_makes_of_the_motion_is_not_what_the_motor_feels(make
     summary = summarise(make_fit(samples=600)).as_dict()
     of_motion = {name for name, row in summary["derived"].items() if row.get("of_motion")}
     assert "total.inertia" in of_motion
-    assert not of_motion & {r.name for r in parameter_table(summary).rows}
+    assert not of_motion & {r.name for rows in parameter_table(summary).values() for r in rows}
     assert not of_motion & {line.split()[0] for line in fit_text(summary) if line.strip()}
     # next to least squares, marked
     assert r"\textsuperscript{m}" in methods_latex(comparison({"run": summary}))
@@ -186,14 +186,14 @@ def test_a_two_column_paper_compiles(knee, make_fit, tmp_path):
     for name, summaries in runs.items():
         tables = {"methods": methods_latex(comparison(summaries))}
         if len(summaries) == 1:
-            tables["parameters"] = parameters_latex(parameter_table(summaries["run"]))
+            tables["parameters"] = parameters_latex(summaries["run"])
         for kind, text in tables.items():
             # labels are unique in a paper
             text = text.replace(r"\label{tab:", rf"\label{{tab:{name}-")
             (tmp_path / f"{name}-{kind}.tex").write_text(text, encoding="utf-8")
     (tmp_path / "references.bib").write_text(references(), encoding="utf-8")
     for stem in ("friction", "residual"):
-        save(RUN_FIGURES[stem].draw(FinishedRun(knee, summarise(knee))), tmp_path, stem)
+        save(RUN_FIGURES[stem].draw(knee, summarise(knee)), tmp_path, stem)
     (tmp_path / "paper.tex").write_text(DOCUMENT, encoding="utf-8")
     assert compiled(tmp_path) == []
     # and the complaints are heard: a citation and a reference of nothing

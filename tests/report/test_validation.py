@@ -23,15 +23,15 @@ SAMPLES = 4000
 def predicted(fit, change=lambda torque: torque, names=("other",), hold_out=None, n=SAMPLES):
     """Let a fit of ``run 0`` predict other recordings of the same joint, or its end."""
     x = fit.chain.vector(PRESETS["rabbit-knee"].values)
-    made = [recording(fit.chain, x, "run 0", n, 0)]
+    recordings = [recording(fit.chain, x, "run 0", n, 0)]
     for seed, name in enumerate(names, start=10):
-        one = recording(fit.chain, x, name, n, seed)
-        made.append(replace(one, torque=change(one.torque)))
-    parts = divide(made, PROCESSING, Validation(recordings=names, hold_out=hold_out))
+        other = recording(fit.chain, x, name, n, seed)
+        recordings.append(replace(other, torque=change(other.torque)))
+    parts = divide(recordings, PROCESSING, Validation(recordings=names, hold_out=hold_out))
     held_out = [part for part in parts if part.held_out]
-    found = predict_held_out(fit.target, fit.posterior, held_out)
-    fit = replace(fit, held_out=found)
-    return fit, validation_record(fit).as_dict()
+    predictions = predict_held_out(fit.target, fit.posterior, held_out)
+    fit = replace(fit, held_out=predictions)
+    return fit, validation_record(fit)
 
 
 def test_the_right_model_covers_what_it_says(knee):
@@ -45,11 +45,11 @@ def test_the_right_model_covers_what_it_says(knee):
     pooled = record["pooled"]
     n = pooled["outputs"]
     assert n == sum(p["outputs"] for p in record["parts"].values()) > 6000
-    for level, found in pooled["coverage"].items():
+    for level, coverage in pooled["coverage"].items():
         p = float(level)
         # white noise of known size: binomial, four of its sds
-        assert abs(found["share"] - p) < 4 * math.sqrt(p * (1 - p) / n), level
-        assert found["standard_error"] == pytest.approx(math.sqrt(p * (1 - p) / n), rel=0.3)
+        assert abs(coverage["share"] - p) < 4 * math.sqrt(p * (1 - p) / n), level
+        assert coverage["standard_error"] == pytest.approx(math.sqrt(p * (1 - p) / n), rel=0.3)
     assert pooled["verdict"] == "covered"
     assert pooled["residual_rms"] == pytest.approx(NOISE, rel=4 / math.sqrt(2 * n))
 
@@ -72,9 +72,9 @@ def test_a_torque_that_the_model_lacks_is_found_with_its_size(knee, size):
     n = pooled["outputs"]
     # mean of (noise + extra)² - noise²: 2 noise extra, and the noise's own square
     error = math.sqrt((4 * NOISE**2 * put_in**2 + 2 * NOISE**4) / n) / (2 * put_in)
-    found = pooled["discrepancy"]
-    assert found["value"] == pytest.approx(put_in, abs=4 * error)
-    assert found["interval"][0] < put_in < found["interval"][1]
+    off = pooled["discrepancy"]
+    assert off["value"] == pytest.approx(put_in, abs=4 * error)
+    assert off["interval"][0] < put_in < off["interval"][1]
     assert pooled["verdict"] == "model discrepancy"
     assert pooled["coverage"]["0.9"]["share"] < 0.8
 
@@ -119,24 +119,24 @@ def test_the_standard_error_is_how_far_shares_scatter():
     sd = math.sqrt(autocovariance(partial)[0])
     rng = np.random.default_rng(11)
     series = simulated(partial, np.ones(n - 1, dtype=bool), times, rng) / sd
-    found = [share_of(np.abs(x) < 1.6449, np.arange(n), x) for x in series]
-    scatter = np.std([f.share for f in found])
-    told = math.sqrt(np.mean([f.standard_error**2 for f in found]))
+    shares = [share_of(np.abs(x) < 1.6449, np.arange(n), x) for x in series]
+    scatter = np.std([f["share"] for f in shares])
+    stated = math.sqrt(np.mean([f["standard_error"] ** 2 for f in shares]))
     # an sd from 400 is known within 3.5 %; the kernel's estimate falls a little short
-    assert told / scatter == pytest.approx(1.0, abs=0.2)
+    assert stated / scatter == pytest.approx(1.0, abs=0.2)
     assert scatter > 1.4 * math.sqrt(0.09 / n)
 
 
 def test_a_share_of_all_is_not_exact():
     inside = np.ones(200, dtype=bool)
     x = simulated(np.array([0.9]), np.ones(199, dtype=bool), 1, np.random.default_rng(0))[0]
-    one = share_of(inside, np.arange(200), x - x.mean())
-    assert one.share == 1.0
-    assert 0.01 < one.standard_error < 0.2
-    assert one.effective_outputs < 50
+    together = share_of(inside, np.arange(200), x - x.mean())
+    assert together["share"] == 1.0
+    assert 0.01 < together["standard_error"] < 0.2
+    assert together["effective_outputs"] < 50
     apart = share_of(inside, 1000 * np.arange(200), x - x.mean())
-    assert apart.effective_outputs == pytest.approx(200.0)
-    assert apart.standard_error < one.standard_error
+    assert apart["effective_outputs"] == pytest.approx(200.0)
+    assert apart["standard_error"] < together["standard_error"]
 
 
 @pytest.mark.parametrize(
@@ -154,14 +154,16 @@ def test_a_share_of_all_is_not_exact():
 def test_off_by_more_than_two_standard_errors_is_called_off(knee, n, every, sds, verdict):
     """Some of so many outputs are outside, here and there."""
     x = knee.chain.vector(PRESETS["rabbit-knee"].values)
-    made = [recording(knee.chain, x, name, k, 3) for name, k in (("run 0", SAMPLES), ("new", n))]
-    _, new = divide(made, PROCESSING, Validation(recordings=("new",)))
-    found = predict_held_out(knee.target, knee.posterior, [new])
-    (p,) = found
+    recordings = [
+        recording(knee.chain, x, name, k, 3) for name, k in (("run 0", SAMPLES), ("new", n))
+    ]
+    _, new = divide(recordings, PROCESSING, Validation(recordings=("new",)))
+    predictions = predict_held_out(knee.target, knee.posterior, [new])
+    (p,) = predictions
     of, outside = every
     off = np.arange(p.measured.size) * 7919 % of < outside
     p.held_out.observation.measured[:] = p.mean + sds * NOISE * off
-    pooled = validation_record(replace(knee, held_out=found)).as_dict()["pooled"]
+    pooled = validation_record(replace(knee, held_out=predictions))["pooled"]
     share = pooled["coverage"]["0.9"]
     assert (pooled["outputs"] < 80) == (n == 100)
     assert share["share"] == pytest.approx(1 - outside / of, abs=0.015)

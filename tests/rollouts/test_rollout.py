@@ -15,7 +15,7 @@ from bayesfric.fit.result import result_of
 from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Law
-from bayesfric.report.messages import roll_out_messages
+from bayesfric.report.terminal import roll_out_messages
 from bayesfric.rollouts.rollout import (
     PreparedRecording,
     _compare,

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("real_data")
 def predicted(name):
     problem, result = run(name)
     found = predict_held_out(result.target, result.posterior, problem.held_out)
-    return problem, result, validation_record(replace(result, held_out=found)).as_dict()
+    return problem, result, validation_record(replace(result, held_out=found))
 
 
 def test_the_gain_that_is_held_out():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,8 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.record import PosteriorRow, Summary, first_angles, of_noise, unwrapped
 from bayesfric.report.words import csv_text
 
-
-@dataclass(frozen=True)
-class RunDraws:
-    """Draws ``(n,)`` of a run's quantities by name, and of its parameters' priors."""
-
-    values: Mapping[str, Array] = field(default_factory=dict)
-    prior: Mapping[str, Array] = field(default_factory=dict)
+# Draws `(n,)` of a run's quantities by name, and of its parameters' priors.
+RunDraws = tuple[Mapping[str, Array], Mapping[str, Array]]
 
 
 def read_draws(run: Path, summary: Summary) -> RunDraws:
@@ -51,8 +46,8 @@ def read_draws(run: Path, summary: Summary) -> RunDraws:
             stored_prior = file.get("prior", {})
             prior = {name: _flat(stored_prior[name]) for name in draws if name in stored_prior}
     except BadInput:
-        return RunDraws()
-    return RunDraws({name: x for name, x in draws.items() if np.isfinite(x).any()}, prior)
+        return {}, {}
+    return {name: x for name, x in draws.items() if np.isfinite(x).any()}, prior
 
 
 def _flat(stored: Any) -> Array:
@@ -98,8 +93,7 @@ def between_runs(
 ) -> list[SharedQuantity]:
     """Give the quantities of runs on different recordings that can be pooled.
 
-    See :func:`shared_quantities` for what counts. What another motion changes is not pooled: runs
-    of one joint may differ in it.
+    Not what another motion changes: runs of one joint may differ in it.
     """
     return [
         quantity
@@ -114,9 +108,8 @@ def shared_quantities(
     """Give every quantity that the data of two runs determine, with each run's likelihood.
 
     By the runs' ``draws`` where there are any, else as if posteriors were normal. A run whose prior
-    matters counts by its draws over those of its prior, and not at all without them: one prior
-    would count several times. Nor does what the data leave open, or a run that is unusable: it has
-    no posterior.
+    matters counts by its draws over those of its prior, or not at all: one prior would count
+    several times.
     """
     angles = first_angles(summary.parameters for summary in runs.values())
     tables = {
@@ -154,15 +147,13 @@ def _likelihood(
     name: str, row: PosteriorRow, stored: PosteriorRow, draws: RunDraws | None
 ) -> Likelihood | None:
     """Give a run's likelihood; an angle's draws follow its row to the others' turn."""
-    draws = RunDraws() if draws is None else draws
-    drawn = name in draws.values
-    if not _determined(row) and (row.verdict == "prior" or not drawn or name not in draws.prior):
+    values, prior = (table.get(name) for table in draws or ({}, {}))
+    if not _determined(row) and (row.verdict == "prior" or values is None or prior is None):
         return None
-    if not drawn:
+    if values is None:
         return normal(row.mean, row.reported.sd)
     by = row.middle - stored.middle
-    prior = None if name not in draws.prior else draws.prior[name] + by
-    return likelihood(draws.values[name] + by, row.reported.sd, prior)
+    return likelihood(values + by, row.reported.sd, None if prior is None else prior + by)
 
 
 def between_runs_csv(pooled: Sequence[SharedQuantity]) -> str:

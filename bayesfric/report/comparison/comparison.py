@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from io import StringIO
 from itertools import groupby
@@ -36,10 +36,8 @@ REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate disagrees.
 _FAR = 3.0
 _PLAIN = "†"
-# What CSV has of each ResultRow, and what JSON has.
-_CSV = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
-    "high", "level", "limit", "disagreement", "converged", "remark")  # fmt: skip
-_JSON = ("value", "status", "sd", "sd_plain", "accounts", "interval", "level", "span", "limit",
+# What JSON has of each ResultRow, and CSV next to the names, with the ends of the interval.
+_KEYS = ("value", "status", "sd", "sd_plain", "accounts", "interval", "level", "span", "limit",
     "at_bound", "bound", "remark", "disagreement", "converged", "doubted", "alike")  # fmt: skip
 
 
@@ -98,15 +96,12 @@ class Comparison:
 def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = None) -> Comparison:
     """Compare the results of one or several runs, each by what its ``summary.json`` holds.
 
-    ``estimates`` is whether to show point estimates; by default of a single run only. Totals come
-    first, then what no scaling of leg parameters and alpha changes, then the rest. ``BadInput``
+    ``estimates`` is whether to show point estimates; by default of a single run only. ``BadInput``
     where units differ, or a run has no quantity in common with any other.
 
-    Disagreement is ``(value - median)/sd`` with both of the first posterior; of what is skewed that
-    sd is the one on the side of the other, and of a limit what its distance makes of one. The
-    variance of another posterior, and of a reference that has one, is added; runs on the same
-    recording are not independent, and disagree more than that says. An estimate of the same run
-    used the same data, so variances do not add: the larger of the two sds counts.
+    Disagreement is ``(value - median)/sd`` with both of the first posterior, of what is skewed the
+    sd on the side of the other. The variance of another posterior or of a reference is added; of
+    an estimate of the same run, which used the same data, the larger of the two sds counts.
     """
     runs = {name: Summary.read(run, name) for name, run in summaries.items()}
     with_estimates = len(runs) == 1 if estimates is None else estimates
@@ -130,7 +125,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             # the data alone leave what a scaling changes without any sd
             rows = [s.parameters.get(quantity.name) for s in runs.values()]
             quantity.gauge_free = all(row.data_sd is not None for row in rows if row is not None)
-    _check_common(quantities.values(), columns)
+    _check_common([*quantities.values()], columns)
     notes = [
         _note("unsure run", run=run, status=summary.sampler.status)
         for run, summary in runs.items()
@@ -147,11 +142,12 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         for quantity in quantities.values()
         if any(cell.status != "known" for cell in quantity.cells.values())
     ]
-    compared.sort(key=_order)  # keeps the order of the files within each group
+    order = ("total", True), ("derived", True), ("parameter", True), ("parameter", False)
+    places = {key: k for k, key in enumerate(order)} | {("total", False): 0}
+    # keeps the order of the files within each group
+    compared.sort(key=lambda row: places.get((row.kind, bool(row.gauge_free)), len(order)))
     for quantity in compared:
         _measure(quantity, columns, baseline)
-    if len(runs) > 1 and not any(_in_two_runs(quantity, posteriors) for quantity in compared):
-        notes.insert(0, _note("nothing shared"))
     contested = []
     for column in columns:
         same = baseline is not None and column.run == baseline.run
@@ -180,36 +176,22 @@ def _note(kind: str, **values: Any) -> str:
     return f"{capital(line_of(kind, values))}."
 
 
-def _order(quantity: Quantity) -> int:
-    if quantity.kind == "total":
-        return 0
-    if quantity.gauge_free:
-        return 1 if quantity.kind == "derived" else 2
-    return 3 if quantity.kind == "parameter" else 4
-
-
 def _columns(prefix: str, run: str, summary: Summary) -> Iterator[Column]:
-    def assumptions(*words: str, rms: float | None, unit: str) -> str:
-        residual = "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
-        return "; ".join(filter(None, (*words, residual)))
+    def rms(value: float | None, unit: str) -> list[str]:
+        return [] if value is None else [f"residual rms {value:.4g} {unit}".strip()]
 
     for method in METHODS:
         if (table := summary.estimates.get(method)) is not None:
-            rms, unit = table.residual_rms, table.residual_unit
-            words = assumptions(table.assumption, *table.notes, rms=rms, unit=unit)
-            yield Column(f"{prefix}{method}", "estimate", run, method, words)
-    if summary.parameters or summary.derived:
-        fit, noise = summary.fit, summary.noise
-        lag = "" if noise.residual_lag1 is None else f"{noise.residual_lag1:.2f}"
-        lag = lag and f"its residuals' lag-1 correlation is {lag}"
-        words = assumptions(
-            summary.likelihood.method,
-            f"noise {noise.model}",
-            lag,
-            rms=fit.residual_rms,
-            unit=fit.unit,
-        )
-        yield Column(f"{prefix}posterior", "posterior", run, None, words, summary.widened)
+            words = [table.assumption, *table.notes]
+            words += rms(table.residual_rms, table.residual_unit)
+            told = "; ".join(filter(None, words))
+            yield Column(f"{prefix}{method}", "estimate", run, method, told)
+    if summary.rows:
+        noise, words = summary.noise, [summary.likelihood["method"], f"noise {summary.noise.model}"]
+        if noise.residual_lag1 is not None:
+            words.append(f"its residuals' lag-1 correlation is {noise.residual_lag1:.2f}")
+        told = "; ".join(words + rms(summary.fit.residual_rms, summary.fit.unit))
+        yield Column(f"{prefix}posterior", "posterior", run, None, told, summary.widened)
 
 
 def _cells(
@@ -270,27 +252,19 @@ def _not_alike(summary: Summary, name: str, unit: str) -> str:
     return share if bent and name in summary.parameters else ""
 
 
-def _check_common(quantities: Iterable[Quantity], columns: list[Column]) -> None:
+def _check_common(quantities: list[Quantity], columns: list[Column]) -> None:
     """Refuse runs without a result, or without any that another has, but for fixed parameters."""
-    names: dict[str, set[str]] = {column.run: set() for column in columns}
-    for quantity in quantities:
-        for column in columns:
-            cell = quantity.cells.get(column.label)
-            if cell is not None and cell.status != "known":
-                names[column.run].add(quantity.name)
+    names: dict[str, set[str]] = {}
+    for column in columns:
+        cells = {quantity.name: quantity.cells.get(column.label) for quantity in quantities}
+        results = {name for name, cell in cells.items() if cell and cell.status != "known"}
+        names[column.run] = names.get(column.run, set()) | results
     # of two, the second is the one out of place
     for run, results in reversed(names.items()):
         others = [theirs for other, theirs in names.items() if other != run]
         if others and results.isdisjoint(set[str]().union(*others)):
             what = "has no quantity in common with the other runs"
             raise BadInput(run, what, "compare runs whose mechanisms share elements")
-
-
-def _in_two_runs(quantity: Quantity, posteriors: list[Column]) -> bool:
-    """Whether two runs determine a quantity, or its limit, and do not doubt it themselves."""
-    cells = [quantity.cells.get(column.label) for column in posteriors]
-    usable = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
-    return len(usable) > 1
 
 
 def _far(quantities: list[Quantity], column: Column, baseline: Column | None) -> list[str]:
@@ -399,26 +373,28 @@ def comparison_csv(compared: Comparison) -> str:
     lines: list[dict[str, Any]] = []
     for row in compared.rows:
         for label, cell in row.cells.items():
-            low, high = cell.interval or (None, None)
-            line = vars(cell) | {"low": low, "high": high, "column": label}
-            line |= {"status": "doubtful"} if cell.doubted else {}
-            lines.append(line | {"name": row.name, "unit": row.unit})
-    return csv_text(lines, _CSV)
+            line = {"name": row.name, "unit": row.unit, "column": label, **_record(cell)}
+            line["low"], line["high"] = line.pop("interval") or (None, None)
+            line["status"] = "doubtful" if cell.doubted else cell.status
+            lines.append(line)
+    return csv_text(lines, [key for key in (lines[0] if lines else ["name"]) if key != "span"])
+
+
+def _record(cell: ResultRow) -> dict[str, Any]:
+    return {key: getattr(cell, key) for key in _KEYS}
 
 
 def comparison_dict(compared: Comparison) -> dict[str, Any]:
     """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
-    quantities = {}
-    for row in compared.rows:
-        keys = ("unit", "symbol", "meaning", "kind", "gauge_free", "of_motion")
-        cells = {
-            label: {key: getattr(cell, key) for key in _JSON} for label, cell in row.cells.items()
-        }
-        quantities[row.name] = {key: getattr(row, key) for key in keys} | {"columns": cells}
+    keys = ("unit", "symbol", "meaning", "kind", "gauge_free", "of_motion")
     return {
         "baseline": compared.baseline,
         "columns": [asdict(column) for column in compared.columns],
-        "quantities": quantities,
+        "quantities": {
+            row.name: {key: getattr(row, key) for key in keys}
+            | {"columns": {label: _record(cell) for label, cell in row.cells.items()}}
+            for row in compared.rows
+        },
         "notes": list(compared.notes),
     }
 

@@ -7,8 +7,6 @@ from itertools import cycle
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.legend_handler import HandlerLine2D
-from matplotlib.lines import Line2D
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import HALF
@@ -16,7 +14,6 @@ from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import DOTTED, Look, power_of_ten, remark_below, shortened
 from bayesfric.report.result_row import ResultRow
-from bayesfric.report.summary.derived_quantities import LEVEL
 
 # Inches: between lines, for the axis below a panel, for the legend.
 _LINE, _AXIS, _LEGEND = 0.155, 0.40, 0.3
@@ -45,13 +42,18 @@ _RUNS = (style.POSTERIOR, style.PALETTE[0], style.PALETTE[3])
 def forest_figure(compared: Comparison) -> Figure:
     """Draw a comparison, a column wide for up to four quantities, else a page.
 
-    Bars are 90 % intervals: a posterior's, an estimate's 1.645 standard deviations to either side.
-    Thick ones account for correlated residuals, thin ones with caps assume uncorrelated ones. What
-    is not determined has an open marker and those words, never a bar; dots span the values that fit
-    as well. A reference is a vertical line. Quantities of only one column are left out, unless
-    there are no others; ``BadInput`` if nothing at all can be drawn.
+    Bars are 90 % intervals; thick ones account for correlated residuals, thin ones assume
+    uncorrelated ones. What is not determined has an open marker and those words, never a bar; dots
+    span the values that fit as well. ``BadInput`` if nothing at all can be drawn.
     """
-    rows = _drawable(compared)
+
+    def count(row: Quantity) -> int:
+        return sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
+
+    # with something to compare, or else with anything to show
+    rows = [r for r in compared.rows if count(r) > 1] or [r for r in compared.rows if count(r)]
+    if not rows:
+        raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
     columns = [column for column in compared.columns if column.kind != "reference"]
     width, across = (style.COLUMN, 1) if len(rows) <= 4 else (style.PAGE, 3)
     # names of references need some room
@@ -73,22 +75,12 @@ def forest_figure(compared: Comparison) -> Figure:
             if k % across == 0:
                 ax.set_yticks([*reversed(range(len(columns)))], names)
                 ax.tick_params(axis="y", length=0.0)
-        _legend(figure)
+        if handles := style.labelled(figure):
+            across = 2 if width == style.COLUMN else 4
+            figure.legend(handles=handles, loc="outside upper right", ncols=across)
         if left_out := len(rows) - len(shown):
             remark_below(figure, f"{left_out} more quantities are in the table only")
     return figure
-
-
-def _drawable(compared: Comparison) -> list[Quantity]:
-    """Rows with something to compare, or else with anything to show."""
-
-    def count(row: Quantity) -> int:
-        return sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
-
-    rows = [r for r in compared.rows if count(r) > 1] or [r for r in compared.rows if count(r)]
-    if not rows:
-        raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
-    return rows
 
 
 def _panel(
@@ -145,8 +137,7 @@ def _bars(cell: ResultRow) -> list[tuple[tuple[float, float], Look]]:
     """List the 90 % intervals of what is determined, each with its look."""
     if cell.status != "determined" or cell.sd is None:
         return []
-    exact = cell.interval is not None and cell.level == LEVEL
-    ends = cell.interval if cell.interval is not None and exact else _around(cell, cell.sd)
+    ends = cell.interval or _around(cell, cell.sd)
     bars = [(ends, _THICK)] if cell.accounts else []
     if cell.sd_plain is not None:
         bars.append((_around(cell, cell.sd_plain) if cell.accounts else ends, _THIN))
@@ -155,10 +146,10 @@ def _bars(cell: ResultRow) -> list[tuple[tuple[float, float], Look]]:
 
 def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
     """Write next to a place, on the side with more room; else in the middle."""
-    low, high = ax.get_xlim()
-    middle = 0.5 * (low + high)
-    side, away = ("left", 4.5) if at is not None and at < middle else ("right", -4.5)
-    side, away = ("center", 0.0) if at is None else (side, away)
+    middle = sum(ax.get_xlim()) / 2.0
+    side, away = ("center", 0.0) if at is None else ("right", -4.5)
+    if at is not None and at < middle:
+        side, away = "left", 4.5
     # the dots of a span stop for the words
     look: Look = {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6}, "zorder": 3.5}
     look |= {"ha": side, "va": "center_baseline", "fontsize": style.WORDS}
@@ -176,14 +167,3 @@ def _reference(ax: Axes, cell: ResultRow) -> None:
     look |= {"textcoords": "offset points", "ha": side, "fontsize": style.WORDS}
     words = ax.annotate(shortened(cell.remark, 22), (cell.value, 1.0), xytext=(away, -1.5), **look)
     words.set_in_layout(False)
-
-
-def _legend(figure: Figure) -> None:
-    """Explain what bars and dots mean; rows are named at their side."""
-    if handles := style.labelled(figure):
-        ends = HandlerLine2D(numpoints=2)
-        capped = {h: ends for h in handles if isinstance(h, Line2D) and h.get_marker() == "|"}
-        across = 2 if figure.get_figwidth() == style.COLUMN else 4
-        figure.legend(
-            handles=handles, loc="outside upper right", ncols=across, handler_map={**capped}
-        )

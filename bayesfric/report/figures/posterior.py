@@ -15,22 +15,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures import style
-from bayesfric.report.figures.style import (
-    DASHED,
-    DOTTED,
-    OPEN_HATCH,
-    PAGE,
-    POSTERIOR,
-    PRIOR,
-    SMALL,
-    Array,
-    Look,
-    axis_label,
-    few_ticks,
-    mathtext,
-    power_of_ten,
-    scaled_unit,
-)
+from bayesfric.report.figures.style import Array, Look
 from bayesfric.report.result_row import ResultRow, result_rows
 from bayesfric.report.summary.derived_quantities import LEVEL, coefficients
 from bayesfric.report.summary.record import Summary, of_noise
@@ -38,16 +23,22 @@ from bayesfric.report.summary.record import Summary, of_noise
 # Share of the draws inside the contours.
 MASSES = (0.5, 0.9)
 _OPEN: Look = {
-    "facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0, "hatch": OPEN_HATCH,
+    "facecolor": "none", "edgecolor": style.POSTERIOR, "linewidth": 0.0, "hatch": style.OPEN_HATCH,
     "label": "posterior that the data leave open", "gid": "open",
 }  # fmt: skip
 _KNOWN: Look = {
-    "facecolor": POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3,
+    "facecolor": style.POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3,
     "label": "posterior", "gid": "posterior",
 }  # fmt: skip
-_PRIOR: Look = {"color": PRIOR, "linestyle": DASHED, "label": "prior", "gid": "prior", "zorder": 3}
+_PRIOR: Look = {
+    "color": style.PRIOR,
+    "linestyle": style.DASHED,
+    "label": "prior",
+    "gid": "prior",
+    "zorder": 3,
+}
 _END: Look = {
-    "color": POSTERIOR, "linewidth": 0.7, "linestyle": DOTTED,
+    "color": style.POSTERIOR, "linewidth": 0.7, "linestyle": style.DOTTED,
     "label": f"{100 * LEVEL:.0f} % interval", "gid": "interval",
 }  # fmt: skip
 
@@ -80,25 +71,19 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
     moved = [q for q in choice(fit.wide, summary) if np.ptp(q.draws) > 1e-12 * abs(q.draws).max()]
     if not (shown := moved[:most]):
         return None
-    names = {quantity.row.name for quantity in shown}
-    left_out = [
-        mathtext(q.row.symbol, q.row.name)
-        for q in quantities(fit.wide, summary)
-        if q.row.name not in names
-    ]
     ranges = [quantity.limits for quantity in shown]
-    exponents = [power_of_ten(*np.quantile(q.draws, [0.05, 0.95]).tolist()) for q in shown]
+    exponents = [style.power_of_ten(*np.quantile(q.draws, [0.05, 0.95]).tolist()) for q in shown]
     # on two lines: a panel is hardly wider than a unit
     labels = [
-        f"{mathtext(q.row.symbol, q.row.name)}\n({scaled_unit(exponent, q.row.unit)})"
+        f"{style.mathtext(q.row.symbol, q.row.name)}\n({style.scaled_unit(exponent, q.row.unit)})"
         for q, exponent in zip(shown, exponents, strict=True)
     ]
     with style.paper_style():
-        figure = Figure(figsize=(PAGE, PAGE))
+        figure = Figure(figsize=(style.PAGE, style.PAGE))
         corner.corner(
             np.stack([quantity.draws for quantity in shown], axis=1),
-            fig=figure, range=ranges, bins=40, color=POSTERIOR, labels=labels,
-            label_kwargs={"fontsize": SMALL, "linespacing": 1.3},
+            fig=figure, range=ranges, bins=40, color=style.POSTERIOR, labels=labels,
+            label_kwargs={"fontsize": style.SMALL, "linespacing": 1.3},
             # in bins: closed contours from some thousand draws, hardly wider
             smooth=1.2, levels=MASSES, fill_contours=True, plot_datapoints=False,
             plot_density=False, contour_kwargs={"linewidths": (0.6, 0.9)},
@@ -109,12 +94,12 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
         axes = np.array(figure.axes).reshape(len(shown), len(shown))
         for k, quantity in enumerate(shown):
             _marginal(axes[k, k], quantity)
-            few_ticks(axes[-1, k].xaxis, 3, inner=True, exponent=exponents[k])
+            style.few_ticks(axes[-1, k].xaxis, 3, inner=True, exponent=exponents[k])
             # upright: neighbours leave a number no room
             axes[-1, k].tick_params(axis="x", labelrotation=90)
             axes[-1, k].xaxis.set_label_coords(0.5, away)
             if k:
-                few_ticks(axes[k, 0].yaxis, 3, inner=True, exponent=exponents[k])
+                style.few_ticks(axes[k, 0].yaxis, 3, inner=True, exponent=exponents[k])
                 axes[k, 0].tick_params(axis="y", labelrotation=0)
                 axes[k, 0].yaxis.set_label_coords(away, 0.5)
             for other in range(k):
@@ -123,13 +108,9 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
                         contours.set_visible(not getattr(contours, "filled", False))
         # in the empty upper triangle
         share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-        contours = Line2D([], [], color=POSTERIOR, label=f"around {share} % of the draws")
+        contours = Line2D([], [], color=style.POSTERIOR, label=f"around {share} % of the draws")
         handles = [*style.labelled(figure), contours]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
-        if left_out and len(shown) > 1:
-            below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
-            words = f"not shown: {', '.join(left_out)}"
-            figure.text(0.98, below, words, ha="right", va="top", fontsize=SMALL)
     return figure
 
 
@@ -190,7 +171,7 @@ def combinations(fit: Fit, summary: Summary) -> list[Shown]:
 
 
 _DOTS: Look = {
-    "linestyle": "none", "marker": ".", "markersize": 2.2, "color": POSTERIOR, "alpha": 0.25,
+    "linestyle": "none", "marker": ".", "markersize": 2.2, "color": style.POSTERIOR, "alpha": 0.25,
 }  # fmt: skip
 _MARKER: Look = {
     "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": style.PALETTE[0],
@@ -198,20 +179,13 @@ _MARKER: Look = {
 }  # fmt: skip
 
 
-class Ridge(NamedTuple):
-    """The line of equal torque through a posterior's median."""
-
-    scaling: Scaling  # what is multiplied together
-    # smallest and largest factor, `1/alpha_2 <= k <= 1/alpha_1`; the smallest is zero where `mu_2`
-    # is one or more
-    bounds: tuple[float, float]
-    line: Array  # `(101, n_parameters)` vectors from one end to the other
-
-
-def ridge(fit: Fit) -> Ridge | None:
+def ridge(fit: Fit) -> tuple[Scaling, tuple[float, float], Array] | None:
     """Follow the first scaling of a fit's chain through the posterior's median.
 
-    ``None`` for a chain without an element with load-dependent friction by direction.
+    Give what is multiplied together, the smallest and largest factor
+    ``1/alpha_2 <= k <= 1/alpha_1`` (zero where ``mu_2`` is one or more), and the line of equal
+    torque ``(101, n_parameters)`` from one end to the other. ``None`` for a chain without an
+    element with load-dependent friction by direction.
     """
     if not (known := scalings(fit.chain)):
         return None
@@ -219,37 +193,37 @@ def ridge(fit: Fit) -> Ridge | None:
     low, high = known[0].bounds(median)
     # where nothing ends the line (mu_2 of one or more) it is drawn down to a twentieth
     factors = np.geomspace(max(low, 0.05 * high), high, 101)
-    return Ridge(known[0], (low, high), known[0].scaled(median, factors))
+    return known[0], (low, high), known[0].scaled(median, factors)
 
 
 def ridge_figure(fit: Fit) -> Figure | None:
     """Draw the scale that no torque determines: the posterior and the exact line, a page wide.
 
-    ``alpha_1`` against first moment, load inertia and ``alpha_2``: posterior draws, the exact
-    scaling line through the posterior's median and its ends, where a passive gearbox would have
-    ``alpha_2 = 1`` and ``alpha_1 = 1``. ``None`` for a chain that has no such scaling.
+    ``alpha_1`` is against first moment, load inertia and ``alpha_2``; the line ends where a passive
+    gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``.
     """
     if (known := ridge(fit)) is None:
         return None
-    element = known.scaling.element
+    scaling, bounds, along = known
+    element = scaling.element
     # those of the load come last, and are of most interest
-    names = [*known.scaling.behind[:-3:-1], f"{element}.alpha_back"]
+    names = [*scaling.behind[:-3:-1], f"{element}.alpha_back"]
     with np.errstate(divide="ignore", invalid="ignore"):  # an irreversible gearbox has no alpha_2
-        draws, line = (_values(fit.chain, v) for v in (fit.chain_draws(1500), known.line))
+        draws, line = (_values(fit.chain, v) for v in (fit.chain_draws(1500), along))
     ends = [
         (k, marker, rf"end $\alpha_{i} = 1$, $k = 1/\alpha_{i} = {factor:.2f}$")
-        for k, marker, i, factor in zip((0, -1), "s^", (2, 1), known.bounds, strict=True)
+        for k, marker, i, factor in zip((0, -1), "s^", (2, 1), bounds, strict=True)
         if factor > 0.0
     ]
-    with style.paper_figure(PAGE, 2.7) as figure:
+    with style.paper_figure(style.PAGE, 2.7) as figure:
         for ax, name in zip(style.panel_grid(figure, len(names), len(names)), names, strict=True):
             pair = (f"{element}.alpha_drive", name)
             for quantity, axis in zip(pair, (ax.xaxis, ax.yaxis), strict=True):
                 symbol, unit, _ = draws[quantity]
                 both = np.concatenate([values[quantity][2] for values in (draws, line)])
-                exponent = power_of_ten(float(np.nanmin(both)), float(np.nanmax(both)))
-                axis.set_label_text(axis_label(symbol, quantity, exponent, unit))
-                few_ticks(axis, 5, exponent=exponent)
+                exponent = style.power_of_ten(float(np.nanmin(both)), float(np.nanmax(both)))
+                axis.set_label_text(style.axis_label(symbol, quantity, exponent, unit))
+                style.few_ticks(axis, 5, exponent=exponent)
             (x, y), (x_line, y_line) = ([q[key][2] for key in pair] for q in (draws, line))
             ax.plot(x, y, gid="posterior", markeredgewidth=0.0, rasterized=True, **_DOTS)
             ax.plot(x_line, y_line, color=style.PALETTE[0], gid="line")

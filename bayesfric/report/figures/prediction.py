@@ -14,15 +14,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood import Outputs
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
-from bayesfric.report.figures.style import (
-    Array,
-    Look,
-    few_ticks,
-    legend_above,
-    paper_figure,
-    remark_below,
-    shortened,
-)
+from bayesfric.report.figures.style import Array, Look
 from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.results.roll_out import RollOut
 
@@ -55,14 +47,13 @@ def predictive(fit: Fit) -> list[tuple[Array, Array, Array]]:
 def prediction_figure(fit: Fit) -> Figure:
     """Draw measured and predicted torque or position, and residuals, over time, a page wide.
 
-    A column for each of at most three recordings, with the 90 % predictive band and two noise
-    scales. Where outputs are missing (dead zone, excluded spans) the lines break; excluded spans
-    are hatched.
+    Where outputs are missing (dead zone, excluded spans) the lines break; excluded spans are
+    hatched.
     """
     outputs = fit.target.likelihood.outputs
     shown = outputs[:MOST]
     quantity, unit = outputs[0].quantity, outputs[0].unit
-    with paper_figure(style.PAGE, 3.4) as figure:
+    with style.paper_figure(style.PAGE, 3.4) as figure:
         axes = figure.subplots(
             2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.8, 1.0)
         )
@@ -73,15 +64,15 @@ def prediction_figure(fit: Fit) -> Figure:
                 _hatch_excluded(ax, observation)
             below.set_xlabel("time (s)")
             below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
-            few_ticks(below.xaxis, 8 if len(shown) == 1 else 4)
-            above.set_title(shortened(o.name), fontsize=style.SMALL, pad=2.5)
+            style.few_ticks(below.xaxis, 8 if len(shown) == 1 else 4)
+            above.set_title(style.shortened(o.name), fontsize=style.SMALL, pad=2.5)
         for ax, most, words in zip(axes[:, 0], (5, 4), (quantity, "residual"), strict=True):
-            few_ticks(ax.yaxis, most)
+            style.few_ticks(ax.yaxis, most)
             ax.set_ylabel(f"{words} ({unit})")
         figure.align_ylabels(axes[:, 0])
-        legend_above(figure)
+        style.legend_above(figure)
         if len(outputs) > MOST:
-            remark_below(figure, f"first {MOST} of {len(outputs)} recordings")
+            style.remark_below(figure, f"first {MOST} of {len(outputs)} recordings")
     return figure
 
 
@@ -144,7 +135,7 @@ def residual_figure(fit: Fit) -> Figure | None:
         return None
     reach = max(float(np.abs(of[["low", "high"]].to_numpy()).max()) for of in bins.values())
     exponent = style.power_of_ten(-reach, reach)
-    with paper_figure(style.PAGE, 2.1) as figure:
+    with style.paper_figure(style.PAGE, 2.1) as figure:
         axes = figure.subplots(1, len(bins), sharey=True, squeeze=False)[0]
         for ax, (key, of) in zip(axes, bins.items(), strict=True):
             ax.axhline(0.0, color="0.6", linewidth=0.5)
@@ -153,10 +144,10 @@ def residual_figure(fit: Fit) -> Figure | None:
             look: Look = {"color": style.PALETTE[0], "marker": "o", "markersize": 2.4}
             ax.plot(of[key], of["mean"], label="their mean", **look)
             ax.set_xlabel(labels[key])
-            few_ticks(ax.xaxis, 5)
-        few_ticks(axes[0].yaxis, 5, exponent=exponent)
+            style.few_ticks(ax.xaxis, 5)
+        style.few_ticks(axes[0].yaxis, 5, exponent=exponent)
         axes[0].set_ylabel(f"residual ({style.scaled_unit(exponent, outputs[0].unit)})")
-        legend_above(figure)
+        style.legend_above(figure)
     return figure
 
 
@@ -198,7 +189,7 @@ def rollout_figure(rollout: RollOut) -> Figure:
     """
     ranked = sorted(rollout.rolled, key=lambda x: (-x.at_position.inside, x.at_position.mae))
     places = np.unique(np.linspace(0, len(ranked) - 1, min(MOST, len(ranked))).round().astype(int))
-    with paper_figure(style.COLUMN, 0.35 + 1.35 * len(places)) as figure:
+    with style.paper_figure(style.COLUMN, 0.35 + 1.35 * len(places)) as figure:
         axes = np.atleast_1d(figure.subplots(len(places), 1))
         for ax, recording in zip(axes, (ranked[k] for k in places), strict=True):
             time, pixels = recording.time, {"rasterized": as_pixels(recording.time)}
@@ -211,11 +202,11 @@ def rollout_figure(rollout: RollOut) -> Figure:
             ax.set(xlim=(float(time[0]), float(time[-1])), ylabel=f"position ({recording.unit})")
             share = f"{100 * recording.at_position.inside:.0f} % inside"
             share += " a band too wide to judge" if recording.wide else ""
-            title = f"{shortened(recording.name)}: {share}"
+            title = f"{style.shortened(recording.name)}: {share}"
             ax.set_title(title, fontsize=style.SMALL, pad=2.5)
-            few_ticks(ax.yaxis, 4)
-            few_ticks(ax.xaxis, 6)
+            style.few_ticks(ax.yaxis, 4)
+            style.few_ticks(ax.xaxis, 6)
         axes[-1].set_xlabel("time (s)")
-        legend_above(figure)
+        style.legend_above(figure)
         figure.align_ylabels(list(axes))
     return figure

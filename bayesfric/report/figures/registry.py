@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
@@ -31,13 +31,6 @@ Section = Literal[
 ]  # fmt: skip
 
 
-class FinishedRun(NamedTuple):
-    """Data of a run's figures and captions."""
-
-    fit: Fit
-    summary: Summary
-
-
 @dataclass(frozen=True)
 class Declared:
     """One figure."""
@@ -45,13 +38,13 @@ class Declared:
     stem: str  # its files' name
     title: str
     section: Section
-    draw: Callable[[Any], Figure | None]  # gives `None` where there is nothing to show
-    # text, or a function of what is drawn
-    caption: str | Callable[[Any], str]
+    # of a run's fit and summary, a comparison or a roll-out; `None` where there is nothing to show
+    draw: Callable[..., Figure | None]
+    caption: str | Callable[..., str]  # text, or a function of what is drawn
 
-    def caption_of(self, drawn: Any) -> str:
+    def caption_of(self, *drawn: Any) -> str:
         """Give the caption of one drawing."""
-        return self.caption if isinstance(self.caption, str) else self.caption(drawn)
+        return self.caption if isinstance(self.caption, str) else self.caption(*drawn)
 
 
 _BARS = (
@@ -61,14 +54,14 @@ _BARS = (
 )
 
 
-def _corner_caption(run: FinishedRun) -> str:
+def _corner_caption(_: Fit, summary: Summary) -> str:
     widened = " Densities and intervals allow for model discrepancy, as in the tables."
     return (
         f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
         "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, "
         "has no interval and is not filled in its pairs: it shows prior and bounds. So is "
         "everything where the sampling has not converged. A limit has one dotted end."
-        + (widened if run.summary.widened else "")
+        + (widened if summary.widened else "")
     )
 
 
@@ -82,7 +75,7 @@ def _rollout_caption(rollout: RollOut) -> str:
     )
 
 
-# Those of a FinishedRun, in the order of the page.
+# Those of a fit and its summary, in the order of the page.
 RUN_FIGURES = {
     figure.stem: figure
     for figure in (
@@ -91,14 +84,14 @@ RUN_FIGURES = {
             title="Estimates and posterior side by side",
             section="methods",
             # of a single run, whose name is nowhere shown
-            draw=lambda run: forest_figure(comparison({"run": run.summary})),
+            draw=lambda _, summary: forest_figure(comparison({"run": summary})),
             caption=f"Every quantity by every method and by the posterior. {_BARS}",
         ),
         Declared(
             stem="ridge",
             title="The ridge: what can be scaled together without changing any torque",
             section="ridge",
-            draw=lambda run: ridge_figure(run.fit),
+            draw=lambda fit, _: ridge_figure(fit),
             caption=(
                 "Draws of the posterior against the line along which no torque changes, between "
                 "the ends that a passive gearbox sets. Only a known mass distinguishes them."
@@ -108,7 +101,7 @@ RUN_FIGURES = {
             stem="prediction",
             title="Measured and predicted",
             section="prediction",
-            draw=lambda run: prediction_figure(run.fit),
+            draw=lambda fit, _: prediction_figure(fit),
             caption=(
                 "Measured outputs and the posterior predictive, noise included, with residuals "
                 "below. Dashed: two standard deviations of the noise, its autocorrelation "
@@ -120,7 +113,7 @@ RUN_FIGURES = {
             stem="residual",
             title="What is left unexplained",
             section="prediction",
-            draw=lambda run: residual_figure(run.fit),
+            draw=lambda fit, _: residual_figure(fit),
             caption=(
                 "What the posterior mean leaves unexplained, against motion and load, as far as "
                 f"they vary: means and {100 * LEVEL:.0f} % of the residuals, in bins of equally "
@@ -131,14 +124,14 @@ RUN_FIGURES = {
             stem="friction",
             title="Friction of the joint",
             section="friction",
-            draw=lambda run: friction_figure(run.fit.wide),
-            caption=lambda run: friction_caption(run.fit.wide),
+            draw=lambda fit, _: friction_figure(fit.wide),
+            caption=lambda fit, _: friction_caption(fit.wide),
         ),
         Declared(
             stem="corner",
             title="Marginal and pairwise posteriors",
             section="posterior",
-            draw=lambda run: corner_figure(run.fit, run.summary),
+            draw=corner_figure,
             caption=_corner_caption,
         ),
     )
@@ -160,10 +153,10 @@ FOREST = Declared(
 )
 
 
-def captions(run: FinishedRun, figures: Sequence[Declared]) -> str:
+def captions(fit: Fit, summary: Summary, figures: Sequence[Declared]) -> str:
     """Write the captions of a run's figures as Markdown, one line each."""
-    lines = (f"**{figure.stem}**: {figure.caption_of(run)}\n" for figure in figures)
-    return effort_words("\n".join(lines), run.fit.chain.motor_motion)
+    lines = (f"**{figure.stem}**: {figure.caption_of(fit, summary)}\n" for figure in figures)
+    return effort_words("\n".join(lines), fit.chain.motor_motion)
 
 
 def read_captions(markdown: str) -> dict[str, str]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-
-from pydantic import Field
+from typing import Any
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
@@ -14,13 +14,12 @@ from bayesfric.recordings.checks import too_slow
 from bayesfric.report.comparison.between_runs import SharedQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, read_captions
-from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
-from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.paper.tables import parameter_notes, parameter_table
 from bayesfric.report.summary.parts import friction_cells
-from bayesfric.report.summary.record import Pair, Part, Readable, Summary
-from bayesfric.report.terminal import brief
+from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.terminal import brief, messages_of
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
@@ -42,7 +41,8 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         too_slow=too_slow(),
         brief=brief(read, messages),
         table=table,
-        notes=table.notes(marked=False),
+        joint=[row for row in table["parameter"] if not of_noise(row.name)],
+        notes=parameter_notes(table, read, marked=False),
         methods=methods,
         friction=list(friction_cells(read.friction, HTML)),
         explained=list(explained(methods)),
@@ -60,24 +60,9 @@ def _text(path: Path) -> str:
         return ""
 
 
-class Provenance(Part):
-    """What is needed to repeat a run."""
-
-    versions: dict[str, str] = Field(default_factory=dict)  # of Python and the libraries
-    recordings: dict[str, str] = Field(default_factory=dict)  # SHA-256 by name
-    seed: str = ""  # as text; empty where it is not known
-    # first and last second that was fitted of a recording, by its name; not of those held out
-    spans: dict[str, Pair] = Field(default_factory=dict)
-
-    def overlaps(self, other: Provenance) -> bool:
-        """Whether both fitted a part of one recording, by SHA-256 and seconds."""
-        always = [-float("inf"), float("inf")]
-        return any(
-            own == theirs != "" and max(a[0], b[0]) <= min(a[1], b[1])
-            for mine, own in self.recordings.items()
-            for name, theirs in other.recordings.items()
-            for a, b in [(self.spans.get(mine, always), other.spans.get(name, always))]
-        )
+# What is needed to repeat a run: `versions` of Python and the libraries, SHA-256 of `recordings`
+# and the seconds that were fitted of each (`spans`) by name, and the `seed` as text.
+Provenance = dict[str, Any]
 
 
 def read_provenance(run: Path) -> Provenance | None:
@@ -85,16 +70,27 @@ def read_provenance(run: Path) -> Provenance | None:
     try:
         with open_hdf5(run / "posterior.nc") as file:
             tables = ("versions", "recordings", "spans")
-            attributes = {key: parse_json(key, file.attrs[key]) for key in tables}
-            return Provenance(**attributes, seed=str(file.attrs["seed"]))
+            attributes = {key: dict(parse_json(key, file.attrs[key])) for key in tables}
+            return {**attributes, "seed": str(file.attrs["seed"])}
     except (BadInput, ValueError, TypeError):
         return None
 
 
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
-    """Name the pairs of runs that fitted the same seconds of a recording."""
-    known = [(run, part) for run, part in provenance.items() if part]
-    return [(run, other) for (run, a), (other, b) in combinations(known, 2) if a.overlaps(b)]
+    """Name the pairs of runs that fitted the same seconds of a recording, by SHA-256."""
+    parts = [
+        (run, sha256, *of["spans"].get(name, [-math.inf, math.inf]))
+        for run, of in provenance.items()
+        if of
+        for name, sha256 in of["recordings"].items()
+        if sha256
+    ]
+    pairs = {
+        (run, other): None
+        for (run, sha256, start, stop), (other, theirs, first, last) in combinations(parts, 2)
+        if run != other and sha256 == theirs and max(start, first) <= min(stop, last)
+    }
+    return [*pairs]
 
 
 def compare_page(

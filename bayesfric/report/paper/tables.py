@@ -9,15 +9,16 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
+from itertools import chain
 from typing import Any
 
 from bayesfric.base import __version__
 from bayesfric.report.comparison.comparison import Comparison, comparison, comparison_csv
 from bayesfric.report.numbers import LATEX
 from bayesfric.report.result_row import ResultRow, known_row, result_rows
-from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.words import filled
 
 _GROUPS = {
@@ -28,27 +29,8 @@ _GROUPS = {
 }
 
 
-@dataclass(frozen=True)
-class ParameterTable:
-    """Rows by group, in the order to print them, of a run's ``summary``."""
-
-    groups: Mapping[str, Sequence[ResultRow]]
-    summary: Summary
-
-    @property
-    def rows(self) -> list[ResultRow]:
-        """The rows of all groups."""
-        return [row for rows in self.groups.values() for row in rows]
-
-    @property
-    def joint(self) -> list[ResultRow]:
-        """Sampled parameters of the joint: without those of the noise."""
-        return [row for row in self.groups["parameter"] if not of_noise(row.name)]
-
-    def notes(self, *, marked: bool = True) -> tuple[str, ...]:
-        """Write the notes below; ``marked`` is whether open numbers are marked ``(prior)``."""
-        values = {"rows": self.rows, "summary": self.summary, "marked": marked}
-        return tuple(filled("parameter_notes.txt.j2", **values).splitlines())
+# Rows by group, in the order to print them.
+ParameterTable = Mapping[str, Sequence[ResultRow]]
 
 
 def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
@@ -59,34 +41,44 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
     """
     read = Summary.read(summary, run)
     rows = result_rows(read)
-    derived = [name for name, row in read.derived.items() if not row.gauge_free]
     known = [known_row(name, row.value, row) for name, row in read.fixed.items()]
-    groups = {
+    return {
         "free": [rows[name] for name in read.gauge_free],
         "parameter": [rows[name] for name in read.parameters],
-        "derived": [rows[name] for name in derived],
+        "derived": [rows[name] for name, row in read.derived.items() if not row.gauge_free],
         "known": [replace(row, remark="") for row in known],
     }
-    return ParameterTable(groups, read)
 
 
-def parameters_latex(table: ParameterTable) -> str:
+def parameter_notes(
+    table: ParameterTable, summary: Summary, *, marked: bool = True
+) -> tuple[str, ...]:
+    """Write the notes below; ``marked`` is whether open numbers are marked ``(prior)``."""
+    rows = [*chain.from_iterable(table.values())]
+    text = filled("parameter_notes.txt.j2", rows=rows, summary=summary, marked=marked)
+    return tuple(text.splitlines())
+
+
+def parameters_latex(summary: Readable, run: str = "summary.json") -> str:
     r"""Write the table as a ``table*`` for two-column papers.
 
     It needs the packages array, booktabs, siunitx (version 3) and tabularx.
     """
+    read = Summary.read(summary, run)
+    table = parameter_table(read)
     lines = [
         (group, [
             latex_symbol(r.symbol, r.name), escaped(r.meaning or r.name), *r.shown(LATEX),
             latex_unit(r.unit), escaped(r.verdict),
         ])
-        for group, rows in table.groups.items()
+        for group, rows in table.items()
         for r in rows
     ]  # fmt: skip
-    share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}} interval"
+    share = rf"\qty{{{100 * read.level:g}}}{{\percent}} interval"
     head = ["Symbol", "Quantity", "Value", share, "Unit", "Determined by"]
     return _table(
-        "Parameters of the joint", "parameters", table.notes(), head=head, lines=lines,
+        "Parameters of the joint", "parameters", parameter_notes(table, read),
+        head=head, lines=lines,
         columns=r"@{}l>{\raggedright\arraybackslash}Xllll@{}", headings=_GROUPS,
     )  # fmt: skip
 
@@ -148,7 +140,7 @@ def latex_texts(summary: Readable, run: str) -> dict[str, str]:
     """Write tables and references for a paper, by file name inside the run directory."""
     return {
         "text/references.bib": references(),
-        "tables/parameters.tex": parameters_latex(parameter_table(summary, run)),
+        "tables/parameters.tex": parameters_latex(summary, run),
         "tables/estimates.tex": methods_latex(comparison({run: summary})),
     }
 

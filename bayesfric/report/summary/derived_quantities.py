@@ -140,10 +140,8 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
         for q, prior, change, converged in zip(group.quantities, *of_each, strict=True):
             data_sd = local.data_sd_of(change, gauge_free=q.gauge_free)
             prior_sd, sd = _robust_sd(prior), _robust_sd(q.values)
-            by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd), "prior_sd": prior_sd}
-            if by["verdict"] == "prior":
-                by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
-            by |= loss_leaning(q.name, q.values)
+            by = determination(fit, local, change, (sd, prior_sd, data_sd))
+            by |= {"prior_sd": prior_sd, **loss_leaning(q.name, q.values)}
             rows[q.name] = PosteriorRow(
                 **described_as(q),
                 **spread(q.values),
@@ -156,9 +154,21 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
     return rows
 
 
-def weakly_given(names: list[str]) -> dict[str, Any]:
-    """Say that priors on other parameters determine a number, if any do."""
-    return {"verdict": "weak", "given_by": names} if names else {}
+def determination(
+    fit: Fit, local: LocalInformation, change: Array, sds: Sequence[float], own: int | None = None
+) -> dict[str, Any]:
+    """Say what determines a number: data, data and prior, a prior, or priors on others.
+
+    ``change`` is with each parameter, ``sds`` are of posterior, prior and data, ``own`` is which
+    parameter it is.
+    """
+    sd, prior_sd, _ = sds
+    judged = verdict(*sds)
+    if judged == "prior" and change.size:
+        names = given_by(local, fit.posterior.priors, change, sd, prior_sd, own)
+        if names:
+            return {"verdict": "weak", "given_by": names}
+    return {"verdict": judged}
 
 
 def _totals(fit: Fit, *, budget: int = 25_000_000) -> Group:

@@ -31,11 +31,11 @@ from bayesfric.recordings.filters import LEAST_RATIO
 from bayesfric.report.summary.derived_quantities import Groups, leaning, loss_leaning, spread
 from bayesfric.report.summary.record import (
     Message,
-    ModelError,
     PosteriorRow,
     Summary,
     of_noise,
     sd_towards,
+    unwrapped,
 )
 from bayesfric.report.words import line_of
 
@@ -43,10 +43,7 @@ from bayesfric.report.words import line_of
 
 
 def bound_hint(name: str, row: PosteriorRow) -> str:
-    """Say what to do about the bound that holds a number; nothing where none does.
-
-    Nor where the bound is that of the residuals' autocorrelation.
-    """
+    """Say what to do about the bound that holds a number, unless an autocorrelation's."""
     if not row.held or row.bound is None or _of_residuals(name):
         return ""
     bound = f"{row.bound:.4g} {row.unit}".strip()
@@ -68,10 +65,7 @@ def noise_cut(name: str, row: PosteriorRow) -> bool:
 
 
 def bound_warning(name: str, row: PosteriorRow) -> str:
-    """Warn of a bound that was set, not given by physics: it cuts the posterior off.
-
-    Where that concerns all numbers it is a doubt (:func:`noise_cut`).
-    """
+    """Warn of a bound that was set and cuts a posterior off, unless it is a doubt of all."""
     if row.bound_physical or noise_cut(name, row) or not (hint := bound_hint(name, row)):
         return ""
     return line_of("bound", {"name": name, "side": row.at_bound, "fix": hint})
@@ -85,7 +79,7 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     discrepancy = fit.discrepancy
     if discrepancy is None:
         return summary
-    part = ModelError(shown=discrepancy.is_plausible, chance=discrepancy.chance)
+    part = {"shown": discrepancy.is_plausible, "chance": discrepancy.chance}
     if not discrepancy.moved:
         return summary.model_copy(update={"model_error": part})
     wide = fit.wide.posterior.flat()
@@ -128,10 +122,9 @@ def find_doubts(
 ) -> list[dict[str, Any]]:
     """Find what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
-    This is the one rule by which a number that data determine is ``identified``: nothing here
-    names it. The first doubt is the first sentence of the answer, so what may cause others comes
-    first: priors that the data contradict, then faults of the recording. ``contradicted`` is as
-    :func:`bayesfric.estimates.input_error.contradicted` gives it.
+    A number that data determine is ``identified`` where nothing here names it. What may cause
+    other doubts comes first: priors that the data contradict (as
+    :func:`bayesfric.estimates.input_error.contradicted` gives them), then faults of the recording.
     """
     if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
@@ -147,7 +140,7 @@ def find_doubts(
         *doubts_before(fit.estimates[0], fit.observations),
         *_cut(summary),
         *_acceleration(fit, summary, determined),
-        *_correlated(summary, determined),
+        *correlated(summary, determined),
         *_unchecked(fit, summary),
     ]
     return [
@@ -168,41 +161,35 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
     sampler = summary.sampler
     if sampler.status == "reliable":
         sampler = sampler.model_copy(update={"status": "tentative"})
-    changes: dict[str, dict[str, Any]] = {}
+    changes = {}
     for name, of in kinds.items():
-        row = summary.rows[name]
-        changes[name] = {"doubted": of, "undoubted": row.undoubted or row.verdict}
-        changes[name] |= {"verdict": "weak"} if row.verdict == "data" else {}
+        verdict = summary.rows[name].verdict
+        undoubted = summary.rows[name].undoubted or verdict
+        changes[name] = {"doubted": of, "undoubted": undoubted}
+        changes[name]["verdict"] = "weak" if verdict == "data" else verdict
     return summary.with_rows(changes, doubts=messages, sampler=sampler)
 
 
-def _correlated(summary: Summary, determined: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Doubt intervals that assume correlated residuals to be independent."""
-    if (correlation := correlation_of(summary)) is None:
+def correlated(summary: Summary, determined: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Doubt intervals that assume correlated residuals to be independent.
+
+    Of a first-order autoregression they are too narrow by ``times``.
+    """
+    lag, rows = summary.noise.innovation_lag1, summary.rows
+    # simulated positions are correlated by their model
+    if summary.likelihood["method"] != "input-error" or lag is None or lag < CORRELATED:
         return
-    rows, (lag, times) = summary.rows, correlation
+    times = float(np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99))))
     if narrow := [name for name in determined if rows[name].reported.sd < times * rows[name].sd]:
         yield {"kind": "independent", "lag": lag, "times": times, "of": narrow}
 
 
-def correlation_of(summary: Summary) -> tuple[float, float] | None:
-    """Give lag-one correlation of residuals assumed independent, and how much it matters.
-
-    That is the factor by which intervals are too narrow, of a first-order autoregression.
-    """
-    lag = summary.noise.innovation_lag1
-    # simulated positions are correlated by their model
-    if summary.likelihood.method != "input-error" or lag is None or lag < CORRELATED:
-        return None
-    return lag, float(np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99))))
-
-
 def _unchecked(fit: Fit, summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt all numbers of a recording on which the model could not be checked."""
-    regression = summary.regression
-    if regression is not None and regression.reason == "still":
+    reason = summary.regression and summary.regression["reason"]
+    if reason == "still":
         yield {"kind": "still"}
-    elif regression is not None and regression.reason == "few":
+    elif reason == "few":
         yield from few_outputs(fit.observations, len(fit.chain.names))  # as it was judged
 
 
@@ -213,13 +200,14 @@ def _missing(summary: Summary, of_data: Sequence[str]) -> Iterator[dict[str, Any
     finding to first order: what it moves by more than half of itself is doubted all the same.
     """
     for finding in summary.findings:
-        of = [name for name in of_data if name in finding.moves and not of_recording(finding.kind)]
+        moves = {} if of_recording(finding.kind) else finding.details["moves"]
+        of = [name for name in of_data if name in moves]
         if finding.severity == "note":
-            of = [name for name in of if _far(summary.rows[name], finding.moves[name])]
+            of = [name for name in of if _far(summary.rows[name], moves[name])]
             if not of:
                 continue
-        message = finding.message("missing", severity="doubt", of=of or list(of_data))
-        yield {key: x for key, x in message.items() if key != "parameters"}
+        message = finding.of_kind("missing", severity="doubt", of=of or list(of_data))
+        yield message.model_dump(exclude={"parameters", "remark"})
 
 
 def _far(row: PosteriorRow, move: float, *, first_order: float = 0.5) -> bool:
@@ -283,16 +271,14 @@ def references_off(summary: Summary) -> dict[str, float]:
     Those of the printed interval and of the reference; what the data leave open contradicts
     nothing.
     """
-    times = {}
+    off = {}
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
         if row is None or row.verdict == "prior" or not row.converged:
             continue
-        away = row.middle - reference.value
-        if row.period:
-            away -= row.period * round(away / row.period)
-        printed = row.reported
-        own = sd_towards(reference.value, row.middle, printed.interval, printed.sd)
+        value = unwrapped(reference, row.middle if row.period else None).value
+        own = sd_towards(value, row.middle, row.reported.interval, row.reported.sd)
         sd = float(np.hypot(own, reference.sd or 0.0))
-        times[name] = abs(away) / sd if sd > 0.0 else 0.0
-    return {name: far for name, far in times.items() if far > CONTRADICTED}
+        if abs(row.middle - value) > CONTRADICTED * sd > 0.0:
+            off[name] = abs(row.middle - value) / sd
+    return off

@@ -7,7 +7,7 @@ changed nothing (``studies/replication``). Intervals that miss the truth too oft
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,29 +19,14 @@ from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.diagnostics.statistics import REPLICATES
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
-from bayesfric.identifiability.friction_curve import (
-    friction_curves,
-    friction_torque,
-)
+from bayesfric.identifiability.friction_curve import friction_curves, friction_torque
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood import Outputs
 from bayesfric.inference.posterior import Prediction
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.numbers import Medium
 from bayesfric.report.summary.derived_quantities import Groups, rms_of
-from bayesfric.report.summary.record import (
-    Coverage,
-    Discrepancy,
-    Friction,
-    FrictionRow,
-    HeldOut,
-    PosteriorRow,
-    SelfCheck,
-    SelfCheckRow,
-    Summary,
-    Validation,
-    of_noise,
-)
+from bayesfric.report.summary.record import PosteriorRow, Summary, of_noise
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import LEVEL, Status
 
@@ -51,7 +36,7 @@ from bayesfric.results.reported import LEVEL, Status
 _SURE = 2.0
 
 
-def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
+def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> dict[str, float]:
     """Estimate the share of autocorrelated outputs inside an interval, with its standard error.
 
     The variance of the sum comes from the autocorrelation of the indicator (Andrews, Econometrica
@@ -67,10 +52,10 @@ def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
     effective = n / max(inflation, 1.0)
     middle = (share * effective + 2.0) / (effective + 4.0)
     error = math.sqrt(middle * (1.0 - middle) / (effective + 4.0))
-    return Coverage(share=share, standard_error=error, effective_outputs=effective)
+    return {"share": share, "standard_error": error, "effective_outputs": effective}
 
 
-def validation_record(fit: Fit) -> Validation:
+def validation_record(fit: Fit) -> dict[str, Any]:
     """Compare predictions with held-out outputs."""
     outputs = fit.target.likelihood.outputs[0]
     borrowed = sorted({quantity for p in fit.held_out for quantity in p.borrowed})
@@ -83,16 +68,16 @@ def validation_record(fit: Fit) -> Validation:
             f"; the {' and the '.join(borrowed)} of a recording held out whole is that of a "
             "fitted one, picked at random for each draw"
         )
-    return Validation(
-        predictive=how,
-        quantity=outputs.quantity,
-        unit=outputs.unit,
-        parts={p.held_out.name: _held_out([p], outputs, p.held_out.held_out) for p in fit.held_out},
-        pooled=_held_out(fit.held_out, outputs, "all together"),
-    )
+    return {
+        "predictive": how,
+        "quantity": outputs.quantity,
+        "unit": outputs.unit,
+        "parts": {p.held_out.name: _held_out([p], outputs, p.held_out.held_out) for p in fit.held_out},
+        "pooled": _held_out(fit.held_out, outputs, "all together"),
+    }
 
 
-def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) -> HeldOut:
+def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) -> dict[str, Any]:
     at = places([p.held_out.observation for p in predictions])
     pit = np.concatenate([p.pit for p in predictions])
     residual = np.concatenate([p.measured - p.mean for p in predictions])
@@ -101,44 +86,43 @@ def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) ->
     centred = standard - standard.mean()
     out = np.abs(pit - 0.5)  # how far from the middle of what was predicted
     shares = {level: share_of(out <= level / 2.0, at, centred) for level in (0.5, LEVEL, 0.99)}
-    share, off = shares[LEVEL], _discrepancy(residual**2 - variance, at)
-    verdict = _verdict(share, off)
-    words = {"covers": share.text, "effective": share.effective_outputs}
-    if off.interval[0] > 0.0:
-        words["beyond"] = f"{off.value:.3g} {outputs.unit}"
-    return HeldOut(
-        held_out=part,
-        outputs=residual.size,
-        coverage={f"{level:g}": share for level, share in shares.items()},
-        residual_rms=rms_of(residual),
-        predictive_sd=math.sqrt(float(variance.mean())),
-        discrepancy=off,
-        verdict=verdict,
-        says=line_of(verdict, words | {"quantity": outputs.quantity}),
-    )
+    off = _discrepancy(residual**2 - variance, at)
+    verdict = _verdict(shares[LEVEL], off)
+    inside, error, effective = shares[LEVEL].values()
+    words = {"covers": f"{100 * inside:.1f} ± {100 * error:.1f} %", "effective": effective}
+    if off["interval"][0] > 0.0:
+        words["beyond"] = f"{off['value']:.3g} {outputs.unit}"
+    return {
+        "held_out": part,
+        "outputs": residual.size,
+        "coverage": {f"{level:g}": share for level, share in shares.items()},
+        "residual_rms": rms_of(residual),
+        "predictive_sd": math.sqrt(float(variance.mean())),
+        "discrepancy": off,
+        "verdict": verdict,
+        "says": line_of(verdict, words | {"quantity": outputs.quantity}),
+    }
 
 
-def _discrepancy(excess: Array, at: NDArray[np.int64]) -> Discrepancy:
+def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     """Root of the mean squared residual beyond the predictive variance, with its interval."""
     mean = float(excess.mean())
     error = math.sqrt(long_run_variance(excess - mean, at)) / excess.size
     reach = float(ndtri(0.5 + LEVEL / 2.0)) * error
     low, value, high = (math.sqrt(max(x, 0.0)) for x in (mean - reach, mean, mean + reach))
-    return Discrepancy(value=value, interval=[low, high], level=LEVEL)
+    return {"value": value, "interval": [low, high], "level": LEVEL}
 
 
-def _verdict(
-    share: Coverage, discrepancy: Discrepancy, *, passes: tuple[float, float] = (0.85, 0.95)
-) -> str:
-    """Judge by the coverage of the intervals, and whether it ``passes``."""
-    low, high = passes
-    if low <= share.share <= high:
+def _verdict(coverage: Mapping[str, float], off: Mapping[str, Any], *, least: float = 0.85) -> str:
+    """Judge by the share inside 90 % intervals, which is to be 90 % within 5 (``least``)."""
+    share = coverage["share"]
+    if abs(share - LEVEL) <= LEVEL - least:
         return "covered"
     # too few are inside, and what is outside is too far out: then both say the same
-    beyond = share.share < low and discrepancy.interval[0] > 0.0
-    if not beyond and abs(share.share - LEVEL) <= _SURE * share.standard_error:
+    beyond = share < least and off["interval"][0] > 0.0
+    if not beyond and abs(share - LEVEL) <= _SURE * coverage["standard_error"]:
         return "undecided"
-    return "too wide" if share.share > high else "model discrepancy"
+    return "too wide" if share > LEVEL else "model discrepancy"
 
 
 # -- calibration check
@@ -149,13 +133,22 @@ POOR = 0.75
 
 def self_check_part(
     fit: Fit, summary: Summary, checked: CalibrationCheck, derived: Groups
-) -> SelfCheck:
+) -> dict[str, Any]:
     """Sum up the calibration check of a fit, for ``summary["self_check"]``."""
     count = len(checked.truth)
-    part: dict[str, Any] = {"asked": REPLICATES, "made": count}
-    part |= {"seconds": round(checked.seconds, 3), "cpu_seconds": round(checked.cpu_seconds, 3)}
+    part: dict[str, Any] = {
+        "asked": REPLICATES,
+        "made": count,
+        "reason": checked.reason,  # why there are no rows
+        "rows": {},
+        # what filters, encoder and differentiation leave of the torque, as a share of the noise's
+        # variance
+        "unexplained": None,
+        "seconds": round(checked.seconds, 3),
+        "cpu_seconds": round(checked.cpu_seconds, 3),
+    }
     if checked.reason is not None:
-        return SelfCheck(**part, reason=checked.reason)
+        return part
     rows = {}
     for name, truth, missed in _replicate_errors(fit, checked, derived):
         row = summary.rows[name]
@@ -163,30 +156,32 @@ def self_check_part(
             continue
         if row.sd > 0.0 and np.isfinite(missed).sum() >= max(2.0, 0.5 * count):
             rows[name] = _self_check_row(row, truth, missed, checked.unexplained, checked.share)
-    return SelfCheck(**part, rows=rows, unexplained=float(checked.unexplained.mean()))
+    return part | {"rows": rows, "unexplained": float(checked.unexplained.mean())}
 
 
 def self_check_doubts(summary: Summary) -> list[dict[str, Any]]:
     """Doubt what the data seem to determine and the calibration check does not recover."""
     coverage = {
-        name: row.coverage
-        for name, row in _self_check_rows(summary).items()
-        # beyond chance
-        if summary.rows[name].verdict == "data" and row.coverage + _SURE * row.coverage_error < POOR
+        name: row["coverage"]
+        for name, row in off_rows(summary, beyond=_SURE).items()
+        if summary.rows[name].verdict == "data"
     }
     doubt = {"kind": "self-check", "parameters": list(coverage), "coverage": coverage}
     return [doubt] if coverage else []
 
 
-def _self_check_rows(summary: Summary) -> dict[str, SelfCheckRow]:
-    """Give the rows of all that is not open anyway."""
-    rows = summary.self_check.rows if summary.self_check else {}
-    return {name: row for name, row in rows.items() if summary.rows[name].verdict != "prior"}
+def off_rows(summary: Summary, beyond: float = 0.0) -> dict[str, dict[str, float]]:
+    """Give the rows whose truth is in too few intervals, by so many standard errors.
 
-
-def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
-    """Give the rows whose truth is in too few intervals."""
-    return {n: row for n, row in _self_check_rows(summary).items() if row.coverage < POOR}
+    Not those of what is open anyway.
+    """
+    rows = summary.self_check["rows"] if summary.self_check else {}
+    return {
+        name: row
+        for name, row in rows.items()
+        if summary.rows[name].verdict != "prior"
+        and row["coverage"] + beyond * row["coverage_error"] < POOR
+    }
 
 
 def _replicate_errors(
@@ -205,12 +200,12 @@ def _replicate_errors(
 
 def _self_check_row(
     row: PosteriorRow, truth: Array, missed: Array, unexplained: Array, share: float
-) -> SelfCheckRow:
+) -> dict[str, float]:
     """Sum up one quantity; replicates may be subsamples, a ``share`` of the recording.
 
-    The coverage is the chance that an interval holds the truth that noiseless fits miss by ``z``
-    sds. The noise scale of a fit includes what filters and encoder leave of the torque, so less of
-    it is noise; where they leave more, it is larger.
+    The bias is in posterior sds. The coverage is the chance that an interval holds the truth that
+    noiseless fits miss by ``z`` sds. The noise scale of a fit includes what filters and encoder
+    leave of the torque, so less of it is noise; where they leave more, it is larger.
     """
     finite = np.isfinite(missed) & np.isfinite(truth)
     missed, unexplained = missed[finite], unexplained[finite]
@@ -223,12 +218,12 @@ def _self_check_row(
     width = row.reported.sd / row.sd * norm.ppf(0.5 + LEVEL / 2.0)
     half = width * np.sqrt(np.clip(unexplained, 1.0, None))
     hit = norm.cdf((half - z) / scatter) - norm.cdf((-half - z) / scatter)
-    return SelfCheckRow(
-        bias=bias,
-        bias_error=error,
-        coverage=float(hit.mean()),
-        coverage_error=float(hit.std(ddof=1) / np.sqrt(z.size)),
-    )
+    return {
+        "bias": bias,
+        "bias_error": error,
+        "coverage": float(hit.mean()),
+        "coverage_error": float(hit.std(ddof=1) / np.sqrt(z.size)),
+    }
 
 
 # -- friction at recorded speeds
@@ -237,8 +232,12 @@ def _self_check_row(
 QUANTILES, PRINTED = (0.1, 0.25, 0.5, 0.75, 0.95), (0.1, 0.5, 0.95)
 
 
-def friction_part(fit: Fit, summary: Summary) -> Friction | None:
+def friction_part(fit: Fit, summary: Summary) -> dict[str, Any] | None:
     """Tabulate friction at recorded speeds; ``None`` where none of its parameters was sampled.
+
+    Coefficients of friction trade against each other; their sum at a speed that was recorded is
+    often known to a per cent. Speed, load and friction are of the motor, the latter two positive
+    against the motion.
 
     A doubt in ``summary`` about a parameter of friction concerns friction.
     """
@@ -260,46 +259,44 @@ def friction_part(fit: Fit, summary: Summary) -> Friction | None:
     sampled: Status = "doubtful" if any(summary.rows[n].doubtful for n in names) else "identified"
     unusable = summary.sampler.status == "unusable"
     rows = [
-        FrictionRow(
-            speed=float(curve.speed[k]),
-            quantile=QUANTILES[k % len(QUANTILES)],
-            load=float(curve.load[k]),
-            value=float(curve.median[k]),
-            interval=[float(curve.ends[0, k]), float(curve.ends[2, k])],
-            status=sampled if curve.determined[k] and not unusable else "unidentified",
-        )
+        {
+            "speed": float(curve.speed[k]),
+            "quantile": QUANTILES[k % len(QUANTILES)],
+            "load": float(curve.load[k]),
+            "value": float(curve.median[k]),
+            "interval": [float(curve.ends[0, k]), float(curve.ends[2, k])],
+            "status": sampled if curve.determined[k] and not unusable else "unidentified",
+        }
         for curve in curves
         for k in np.flatnonzero(curve.shown)
     ]
-    return Friction(
-        unit="N m" if rotary else "N",
-        speed_unit="rad/s" if rotary else "m/s",
-        level=LEVEL,
-        parameters=[name for name in fit.target.free if name in names],
-        rows=rows,
-    )
+    return {
+        "unit": "N m" if rotary else "N",
+        "speed_unit": "rad/s" if rotary else "m/s",
+        "level": LEVEL,
+        "parameters": [name for name in fit.target.free if name in names],
+        "rows": rows,
+    }
 
 
-def friction_cells(friction: Friction | None, medium: Medium) -> Iterator[tuple[str, ...]]:
+def friction_cells(friction: Mapping[str, Any] | None, medium: Medium) -> Iterator[tuple[str, ...]]:
     """Write speed, load, value, interval and status of the rows to print.
 
     Both directions share a row where the law is symmetric.
     """
-    rows = [r for r in friction.rows if r.quantile in PRINTED] if friction else []
-    by_place = {(row.speed, row.load): row for row in rows}
-    for row in rows:
-        other = by_place.get((-row.speed, row.load))
+    rows = [r for r in friction["rows"] if r["quantile"] in PRINTED] if friction else []
+    by_place = {(row["speed"], row["load"]): row for row in rows}
+    for (at, load), row in by_place.items():
+        value, (low, high) = row["value"], row["interval"]
+        other = by_place.get((-at, load))
         same = other is not None and np.allclose(
-            [row.value, *row.interval], [other.value, *other.interval], rtol=1e-9, atol=0.0
+            [value, low, high], [other["value"], *other["interval"]], rtol=1e-9, atol=0.0
         )
-        if same and row.speed < 0.0:
+        if same and at < 0.0:
             continue
-        speed = ("±" if same else "") + medium.number(row.speed, 3)
-        load = medium.number(row.load, 3) if row.load else ""
-        low, high = row.interval
-        sd = (high - low) / (2.0 * float(norm.ppf(0.5 + 0.5 * LEVEL)))
-        if row.status == "unidentified" or not (math.isfinite(sd) and sd > 0.0):
-            yield speed, load, "", "", row.status
+        status, sd = row["status"], (high - low) / (2.0 * float(norm.ppf(0.5 + 0.5 * LEVEL)))
+        place = ("±" if same else "") + medium.number(at, 3), medium.number(load, 3) if load else ""
+        if status == "unidentified" or not (math.isfinite(sd) and sd > 0.0):
+            yield *place, "", "", status
         else:
-            value = medium.ends(row.value, low, high, sd)
-            yield speed, load, value, medium.interval(low, high, sd), row.status
+            yield *place, medium.ends(value, low, high, sd), medium.interval(low, high, sd), status

@@ -27,11 +27,9 @@ from bayesfric.results.reported import (
     LEVEL,
     Determined,
     Reported,
-    Status,
     Verdict,
     outcome_of,
 )
-from bayesfric.results.roll_out import RollOutPart
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -153,18 +151,17 @@ class PosteriorRow(Described):
     def conclude(self, value: float, interval: Sequence[float], sd: float) -> Reported:
         """Report a number with the status that the row gives it."""
         own_prior = bool(self.given_by) or (bool(self.prior) and not self.prior_default)
-        bound, status = None, KNOWN_BY[self.verdict]
-        if self.at_bound is not None and (self.verdict == "data" or self.informed):
-            bound = interval[1] if self.at_bound == "lower" else interval[0]
+        limit, status = self.converged and self._leans("data"), KNOWN_BY[self.verdict]
         if not self.converged:
-            bound, status = None, "unidentified"
+            status = "unidentified"
         elif self.doubtful:
             status = "doubtful"
-        elif bound is not None:
+        elif limit:
             status = "limit"
         elif self.verdict == "prior" and own_prior:
             status = "prior"
-        at_most = None if bound is None else self.at_bound == "lower"
+        at_most = self.at_bound == "lower" if limit else None
+        bound = interval[1 if at_most else 0] if limit else None
         return Reported(
             value=value, sd=sd, interval=[*interval], status=status, bound=bound, at_most=at_most
         )
@@ -184,16 +181,16 @@ class PosteriorRow(Described):
         """Whether what the data say of it is doubted; of what they leave open they say nothing."""
         return bool(self.doubted) and self.verdict != "prior"
 
-    @property
-    def informed(self) -> bool:
-        """Whether the data, with the priors on a scale if need be, say how far its bound is."""
+    def _leans(self, *verdicts: Determined) -> bool:
+        """Whether data, with priors on a scale if need be, say how far its bound is."""
         known = self.data_sd is not None and self.data_sd < WIDE * (self.prior_sd or math.inf)
-        return known or bool(self.given_by)
+        informed = self.verdict in verdicts or known or bool(self.given_by)
+        return self.at_bound is not None and informed
 
     @property
     def held(self) -> bool:
         """Whether the data push it against its bound; a prior alone leans on bounds too."""
-        return self.at_bound is not None and (self.verdict != "prior" or self.informed)
+        return self._leans("data", "weak")
 
     @property
     def remarks(self) -> list[str]:
@@ -266,7 +263,10 @@ def of_noise(name: str) -> bool:
 
 
 class Message(Part):
-    """What to know before using a number; further keys fill the words of its kind."""
+    """What to know before using a number; further keys fill the words of its kind.
+
+    A finding has those of :class:`bayesfric.diagnostics.explanation.Finding`.
+    """
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
@@ -275,51 +275,33 @@ class Message(Part):
     parameters: list[str] = []  # which it makes doubtful
     remark: str = ""  # its text, where that is not made of the kind's words
 
+    def of_kind(self, kind: str, **changes: Any) -> Message:
+        """Say something else about the same finding."""
+        values = self.model_dump(exclude={"remark"}) | {"what": self.kind}
+        return Message.model_validate({**values, "kind": kind, **changes})
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """Further keys."""
+        return self.model_extra or {}
+
     @property
     def text(self) -> str:
         """One sentence without its full stop."""
         return self.remark or line_of(self.kind, self.model_dump())
 
     @property
-    def clause(self) -> str:
-        """What it is, without what to do."""
-        return clause(self.kind, self.model_dump())
-
-    @property
     def section(self) -> str:
         """Section of the page that says more; may be empty."""
-        if self.kind in ("missing", "put in"):
-            return "model-error"
-        return words_of(self.kind).section
+        about = words_of(self.kind).get("section", "")
+        return "model-error" if self.kind in ("missing", "put in") else about
 
     @property
     def brief(self) -> str:
         """Line of the short answer; empty for what needs nothing to be done."""
-        if self.kind in ("put in", "back-EMF", "simulated"):
-            return ""
-        return {"sampler": line_of("sampler"), "warning": self.remark.split(";")[0]}.get(
-            self.kind, self.text
-        )
-
-
-class FindingRow(Message):
-    """What may be missing, as :class:`bayesfric.diagnostics.explanation.Finding` has it."""
-
-    severity: Literal["note", "doubt"]
-    p: Share
-    hint: str = ""  # line of a configuration that would add it
-    statistic: FiniteFloat
-    shape: str = ""
-    share: NotNegative = 0.0
-    rivals: list[str] = []
-    moves: dict[Name, FiniteFloat] = {}
-    physical: bool = True
-    recording: str = ""
-    span: Pair | None = None
-
-    def message(self, kind: str, **changes: Any) -> dict[str, Any]:
-        """Give a message of another kind about this finding."""
-        return self.model_dump(exclude={"remark"}) | {"kind": kind, "what": self.kind} | changes
+        short = {"sampler": line_of("sampler"), "warning": self.remark.split(";")[0]}
+        short |= dict.fromkeys(("put in", "back-EMF", "simulated"), "")
+        return short.get(self.kind, self.text)
 
 
 # -- estimates, noise and likelihood
@@ -338,33 +320,11 @@ class EstimateTable(Part):
     notes: list[str] = []
 
 
-class Likelihood(Part):
-    """What the posterior compares with the recording, and how."""
-
-    method: Literal["input-error", "output-error"] = "input-error"
-    linearisation: FiniteFloat | None = None
-
-
-class NullDirection(Part):
-    """Parameters that change together without changing any predicted torque."""
-
-    parameters: dict[Name, FiniteFloat] = {}
-    meaning: str
-
-
 class Identifiability(Part):
     """What no recording of this kind can determine."""
 
-    null_directions: list[NullDirection] = []
+    null_directions: list[dict[str, Any]] = []  # exponents of `parameters`, and the `meaning`
     directions: list[OpenDirection] = []
-
-
-class Whiteness(Part):
-    """Whether what the noise model does not predict passes as white."""
-
-    test: str = ""
-    p_value: FiniteFloat | None = None
-    white: bool
 
 
 class Noise(Part):
@@ -376,31 +336,12 @@ class Noise(Part):
     accounts_for_correlation: bool | None = None
     residual_lag1: FiniteFloat | None = None
     innovation_lag1: FiniteFloat | None = None
-    innovation_whiteness: Whiteness | None = None
+    innovation_whiteness: dict[str, Any] | None = None  # `test`, its `p_value`, and if `white`
     autoregression: dict[Name, list[FiniteFloat]] = {}
     order_chosen_from: list[dict[str, Any]] = []  # evidence for each order
     # partial autocorrelations that priors are around, and how far from these they reach
     memory: list[FiniteFloat] = []
     room: NotNegative = 0.0
-
-
-class RecordingRow(Part):
-    """How one recording was processed, and what is left of it; it keeps further keys."""
-
-    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
-
-    residual_rms: NotNegative | None = None
-    residual_lag1: FiniteFloat | None = None
-    outputs: int | None = None
-    sampling_rate: FiniteFloat | None = None
-    lowpass: FiniteFloat | None = None
-    band: FiniteFloat | None = None
-    decimate: int | None = None
-    n_samples: int | None = None
-    n_segments: int | None = None
-    dropped_trim: int | None = None
-    dropped_excluded: int | None = None
-    dropped_dead_zone: int | None = None
 
 
 class Residual(Part):
@@ -414,7 +355,7 @@ class Residual(Part):
     torque_constant: FiniteFloat | None = None
     back_emf: SpeedTerm | None = None  # where a torque comes from a voltage
     rests: list[StictionViolation] = []  # standstills that were not used
-    recordings: dict[Name, RecordingRow] = {}
+    recordings: dict[Name, dict[str, Any]] = {}  # how each was processed, and what is left of it
 
 
 class Sampler(Part):
@@ -439,129 +380,6 @@ class Sampler(Part):
     seed: int | None = None
 
 
-# -- checks of the posterior
-
-
-class Coverage(Part):
-    """How much of what was held out lies in a predictive interval."""
-
-    share: FiniteFloat
-    standard_error: NotNegative
-    effective_outputs: FiniteFloat | None = None
-
-    @property
-    def text(self) -> str:
-        """In per cent, with its error."""
-        return f"{100 * self.share:.1f} ± {100 * self.standard_error:.1f} %"
-
-
-class Discrepancy(Part):
-    """By how much outputs are off beyond what noise and posterior explain."""
-
-    value: FiniteFloat
-    interval: Pair
-    level: FiniteFloat = LEVEL
-
-
-class HeldOut(Part):
-    """How well one held-out part, or all of them, was predicted."""
-
-    held_out: str = "all together"
-    outputs: int
-    coverage: dict[str, Coverage]
-    residual_rms: NotNegative
-    predictive_sd: NotNegative | None = None
-    discrepancy: Discrepancy | None = None
-    verdict: str
-    says: str
-
-    @property
-    def fine(self) -> bool:
-        """Whether there is nothing to warn of."""
-        return self.verdict in ("covered", "undecided")
-
-
-class Validation(Part):
-    """What was predicted and not fitted."""
-
-    predictive: str = ""
-    quantity: str = "output"
-    unit: str
-    parts: dict[Name, HeldOut]
-    pooled: HeldOut
-
-
-class RegressionPart(Part):
-    """How missing effects were tested."""
-
-    twins: int = 0  # simulated replicates
-    asked: int = 0  # kinds of candidates
-    reason: Literal["few", "still"] | None = None  # why there was no test
-    share: float = 1.0  # of the samples that were used
-
-
-class SelfCheckRow(Part):
-    """How fits of simulated recordings recover one quantity."""
-
-    bias: FiniteFloat  # in posterior sds
-    bias_error: NotNegative
-    coverage: Share  # of the printed interval
-    coverage_error: NotNegative
-
-
-class SelfCheck(Part):
-    """Calibration check: fits of recordings like this one, simulated where the truth is known."""
-
-    asked: int  # recordings to simulate
-    made: int  # that could be simulated and fitted
-    reason: Literal["likelihood", "rest", "sampling", "still", "few"] | None = None  # why no rows
-    rows: dict[Name, SelfCheckRow] = {}
-    # what filters, encoder and differentiation leave of the torque, as a share of the noise's
-    # variance
-    unexplained: NotNegative | None = None
-    seconds: NotNegative
-    cpu_seconds: NotNegative
-
-    @property
-    def why(self) -> str:
-        """Why there is none; empty where there is."""
-        return line_of(f"no self-check, {self.reason}", self.model_dump()) if self.reason else ""
-
-
-class ModelError(Part):
-    """Whether intervals allow for model discrepancy."""
-
-    shown: bool
-    chance: Share = 0.0  # probability that the model lacks any candidate
-
-
-class FrictionRow(Part):
-    """Friction of the whole joint at one constant speed of the motor and one load."""
-
-    speed: FiniteFloat  # signed, of the motor
-    quantile: Share  # among recorded speeds of either sign
-    # of the load at the motor, without losses; positive against the motion, and zero unless
-    # friction depends on it
-    load: FiniteFloat = 0.0
-    value: FiniteFloat  # posterior median, positive against the motion
-    interval: Pair
-    status: Status  # `identified`, `doubtful` or `unidentified`
-
-
-class Friction(Part):
-    """Friction of the whole joint at recorded speeds, with model discrepancy.
-
-    Coefficients of friction trade against each other; their sum at a speed that was recorded is
-    often known to a per cent.
-    """
-
-    unit: str  # N m, or N of a motor that slides
-    speed_unit: str
-    level: Share
-    parameters: list[str] = []  # those sampled
-    rows: list[FrictionRow]
-
-
 # -- the whole
 
 
@@ -574,21 +392,24 @@ class Summary(Part):
     derived: dict[Name, PosteriorRow] = {}
     estimates: dict[Method, EstimateTable] = {}
     references: dict[Name, ValueRow] = {}
-    likelihood: Likelihood = Likelihood()
+    likelihood: dict[str, Any] = {"method": "input-error"}  # and what its `linearisation` changes
     identifiability: Identifiability = Identifiability()
     noise: Noise = Noise()
     fit: Residual = Residual()
-    validation: Validation | None = None
+    # what only templates print, as `parts` makes it
+    validation: dict[str, Any] | None = None
+    friction: dict[str, Any] | None = None
+    self_check: dict[str, Any] | None = None
+    model_error: dict[str, Any] | None = None  # whether `shown`, and the `chance` of any candidate
+    # simulated replicates (`twins`), kinds of candidates (`asked`), the `reason` for no test, and
+    # the `share` of the samples that were used
+    regression: dict[str, Any] | None = None
     warnings: list[str] = []
     sampler: Sampler = Sampler()
-    friction: Friction | None = None
-    self_check: SelfCheck | None = None
-    model_error: ModelError | None = None
-    rollout: RollOutPart | None = None
+    rollout: dict[str, Any] | None = None
     doubts: list[Message] = []
-    findings: list[FindingRow] = []
-    taken: list[FindingRow] = []  # by terms = "auto"
-    regression: RegressionPart | None = None
+    findings: list[Message] = []
+    taken: list[Message] = []  # by terms = "auto"
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
 
@@ -596,7 +417,7 @@ class Summary(Part):
     def accounts(self) -> bool:
         """Whether the intervals account for correlated residuals."""
         test = self.noise.innovation_whiteness
-        if len(self.noise.order_chosen_from) > 1 and test is not None and test.white:
+        if len(self.noise.order_chosen_from) > 1 and test is not None and test["white"]:
             # white noise that was tested, not assumed, leaves nothing to account for
             return True
         return bool(self.noise.accounts_for_correlation)
@@ -611,14 +432,13 @@ class Summary(Part):
     @property
     def only_doubted(self) -> bool:
         """Whether the sampling converged, and something else makes the run tentative."""
-        return (
-            self.sampler.status == "tentative" and bool(self.doubts) and not self.sampler.problems
-        )
+        doubted = bool(self.doubts) and not self.sampler.problems
+        return doubted and self.sampler.status == "tentative"
 
     @property
     def widened(self) -> bool:
         """Whether the intervals to print allow for model discrepancy."""
-        return self.model_error is not None and self.model_error.shown
+        return bool(self.model_error and self.model_error["shown"])
 
     @property
     def assumed_constant(self) -> str:
@@ -631,21 +451,24 @@ class Summary(Part):
     @property
     def reasons(self) -> list[str]:
         """Why numbers are doubtful, each in one clause, for print."""
-        return list(dict.fromkeys(doubt.clause for doubt in self.doubts if doubt.parameters))
+        return list(
+            dict.fromkeys(
+                clause(doubt.kind, doubt.model_dump()) for doubt in self.doubts if doubt.parameters
+            )
+        )
 
     @property
     def first(self) -> str:
         """What comes first: a doubt, or what a model lacks that is incomplete; may be empty."""
-        if self.doubts:
-            return self.doubts[0].clause
-        if self.verdict.outcome != "usable":
-            return ""
-        return clause("missing", self.findings[0].message("missing"))
+        lacking = self.findings[:1] if self.verdict.outcome == "usable" else []
+        for message in self.doubts[:1] or [finding.of_kind("missing") for finding in lacking]:
+            return clause(message.kind, message.model_dump())
+        return ""
 
     @property
     def verdict(self) -> Verdict:
         """Verdict on the run."""
-        tested = self.regression if self.regression and not self.regression.reason else None
+        tested = self.regression if self.regression and not self.regression["reason"] else None
         outcome = outcome_of(
             converged=not self.sampler.problems and self.sampler.status != "unusable",
             # a model that could not be checked is a separate outcome
@@ -654,7 +477,7 @@ class Summary(Part):
             tested=tested is not None,
         )
         doubtful = sum(r.doubtful for n, r in self.rows.items() if not of_noise(n))
-        return Verdict(outcome, self.fit.explained, tested.asked if tested else 0, doubtful)
+        return Verdict(outcome, self.fit.explained, tested["asked"] if tested else 0, doubtful)
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:
@@ -673,23 +496,15 @@ class Summary(Part):
 
     def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Self:
         """Change keys of rows, by name of parameter or derived quantity, and other parts."""
-        tables = {
-            group: {
-                name: row.changed(changes[name]) if name in changes else row
-                for name, row in getattr(self, group).items()
-            }
-            for group in ("parameters", "derived")
-        }
-        return self.model_copy(update=tables | update)
+        for group in ("parameters", "derived"):
+            rows = getattr(self, group)
+            new = {name: rows[name].changed(changes[name]) for name in rows if name in changes}
+            update[group] = rows | new
+        return self.model_copy(update=update)
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Parameters, then derived quantities, as a table with a line for each.
-
-        First what every view prints: value, sd, ends of the interval, status, and the findings that
-        move it by more than that. Then how it was made: the posterior's own numbers, whether the
-        interval allows for model discrepancy; and the keys of :class:`PosteriorRow`.
-        """
+        """Parameters, then derived quantities: what every view prints, and how it was made."""
         import pandas as pd
 
         lines = []

@@ -14,10 +14,8 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.friction_curve import back_driving_shares
 from bayesfric.identifiability.local import (
     LocalInformation,
-    given_by,
     local_information,
     meaning_of,
-    verdict,
 )
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood import TorqueLikelihood
@@ -29,27 +27,23 @@ from bayesfric.report.summary.derived_quantities import (
     Groups,
     derived_rows,
     described_as,
+    determination,
     groups,
     leaning,
     rms_of,
     spread,
-    weakly_given,
 )
 from bayesfric.report.summary.doubts import bound_warning
 from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import (
     EstimateTable,
     Identifiability,
-    Likelihood,
     Noise,
-    NullDirection,
     PosteriorRow,
-    RecordingRow,
     Residual,
     Sampler,
     Summary,
     ValueRow,
-    Whiteness,
 )
 from bayesfric.report.terminal import PrintedSummary
 from bayesfric.report.words import line_of
@@ -66,11 +60,8 @@ def summarise(
     ``references`` are as a configuration gives them, ``derived`` are computed where left out.
     """
     local = local_information(fit.target, fit.posterior.median)
-    likelihood = Likelihood(
-        method=fit.target.likelihood.method,
-        linearisation=None if fit.linearisation is None else _number(fit.linearisation),
-    )
-    null = [NullDirection(parameters=n, meaning=meaning_of(n)) for n in local.null_directions]
+    change = None if fit.linearisation is None else _number(fit.linearisation)
+    null = [{"parameters": dict(n), "meaning": meaning_of(n)} for n in local.null_directions]
     parameters = _parameters(fit, local)
     summary = PrintedSummary(
         bayesfric=__version__,
@@ -83,26 +74,26 @@ def summarise(
         derived=derived_rows(fit, local, groups(fit) if derived is None else derived),
         estimates={estimate.method: estimate_table(estimate) for estimate in fit.estimates},
         references={name: ValueRow(**values) for name, values in (references or {}).items()},
-        likelihood=likelihood,
+        likelihood={"method": fit.target.likelihood.method, "linearisation": change},
         identifiability=Identifiability(null_directions=null),
         noise=_noise(fit, choice),
         fit=_residual(fit),
         validation=validation_record(fit) if fit.held_out else None,
         sampler=_sampler(fit.posterior),
-        warnings=[text for text in _warnings(fit, parameters, likelihood) if text],
+        warnings=[text for text in _warnings(fit, parameters, change or 0.0) if text],
     )
     return _with_mirrored(summary, fit)
 
 
 def _warnings(
-    fit: Fit, parameters: Mapping[str, PosteriorRow], likelihood: Likelihood, linear: float = 1.0
+    fit: Fit, parameters: Mapping[str, PosteriorRow], change: float, linear: float = 1.0
 ) -> Sequence[str]:
     """Gather warnings; empty ones count for nothing.
 
-    A log-likelihood that linearising changes by ``linear`` moves an interval by about one standard
-    deviation.
+    A ``change`` of the log-likelihood by linearising of ``linear`` moves an interval by about one
+    standard deviation.
     """
-    unseen, change = fit.chain.unseen_inertia, likelihood.linearisation or 0.0
+    unseen = fit.chain.unseen_inertia
     held_out = [part.held_out.observation for part in fit.held_out]
     return [
         *fit.posterior.diagnostics.warnings,
@@ -146,14 +137,12 @@ def _residual(fit: Fit) -> Residual:
         unit=outputs[0].unit,
         quantity=outputs[0].quantity,
         recordings={
-            o.name: RecordingRow.read(
-                {
-                    "residual_rms": rms_of(r),
-                    "residual_lag1": _number(lag_one(r, o.follows)),
-                    "outputs": int(o.measured.size),
-                    **observation.settings,
-                }
-            )
+            o.name: {
+                "residual_rms": rms_of(r),
+                "residual_lag1": _number(lag_one(r, o.follows)),
+                "outputs": int(o.measured.size),
+                **observation.settings,
+            }
             for o, observation, r in zip(outputs, observations, fit.residuals, strict=True)
         },
     )
@@ -178,25 +167,9 @@ def _with_mirrored(summary: Summary, fit: Fit, *, seldom: float = 0.1) -> Summar
 
 def estimate_table(estimate: Estimate) -> EstimateTable:
     """Put a point estimate into the form of ``summary.json``."""
-    same = ("unit", "symbol", "meaning", "value", "kind", "gauge_free", "determined", "at_bound")
-    return EstimateTable(
-        parameters={
-            v.name: ValueRow(
-                **{key: getattr(v, key) for key in same},
-                sd=_number(v.sd),
-                sd_robust=_number(v.sd_robust),
-                span=list(v.span) if v.span else None,
-            )
-            for v in estimate.values
-        },
-        converged=estimate.converged,
-        point=dict(estimate.point),
-        residual_rms=estimate.residual_rms,
-        residual_unit=estimate.residual_unit,
-        outputs=estimate.n_outputs,
-        assumption=estimate.assumption,
-        notes=list(estimate.notes),
-    )
+    rows = {v.name: {**vars(v), "determined": v.determined} for v in estimate.values}
+    update = {"parameters": rows, "outputs": estimate.n_outputs, "point": dict(estimate.point)}
+    return EstimateTable.read(jsonable({**vars(estimate), **update}))
 
 
 def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
@@ -212,10 +185,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals
         data_sd = local.data_sd[j] if j < len(local.names) else sd
-        judged: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd)}
-        if judged["verdict"] == "prior" and j < len(local.names):
-            gradient = np.eye(len(local.names))[j]
-            judged |= weakly_given(given_by(local, fit.posterior.priors, gradient, sd, prior_sd, j))
+        change = np.eye(len(local.names))[j : j + 1].ravel()  # none of the noise's
         rows[name] = PosteriorRow(
             **described[name],
             **spread(flat[:, j]),
@@ -227,7 +197,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
             prior_sd=_number(prior_sd),
             contraction=_number(1.0 - (sd / prior_sd) ** 2),
             data_sd=_number(data_sd),
-            **judged,
+            **determination(fit, local, change, (sd, prior_sd, data_sd), j),
             **leaning(flat[:, j], prior.limits, possible[name]),
             period=TURN if prior.circular else None,
         )
@@ -277,7 +247,7 @@ def _noise(fit: Fit, choice: NoiseChoice | None, *, lags: int = 10) -> Noise:
     update: dict[str, Any] = {
         "order": order,
         "innovation_lag1": mean_lag(left, runs),
-        "innovation_whiteness": Whiteness(test=test, p_value=p, white=bool(p >= PASSES)),
+        "innovation_whiteness": {"test": test, "p_value": p, "white": bool(p >= PASSES)},
     }
     if order:
         update["autoregression"] = {
