@@ -18,7 +18,7 @@ from scipy import stats
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.joint import PRESETS
-from bayesfric.problem.config_text import config_of, mechanism_table, prior_value
+from bayesfric.problem.config import config_of, mechanism_table, prior_value
 from tests.axis import swing
 from tests.commands.bench import Bench, without_figures
 from tests.conftest import REPOSITORY, brought
@@ -235,7 +235,7 @@ def test_a_reference_is_of_the_same_loss_by_direction_or_not(viscous, given, nam
     """What ``explain`` advises to add does not break what a configuration compares with."""
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=viscous)
     joint = bf.Joint([motor], bf.Load(), offset=True)
-    found = bf.Model(joint, arrays(), references={given: 0.05}).references()
+    found = bf.Model(joint, arrays(), references={given: 0.05}).references
     assert set(found) == {name}
     assert found[name]["value"] == 0.05
     with pytest.raises(BadInput, match="no result of this mechanism"):

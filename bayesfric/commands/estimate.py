@@ -23,7 +23,7 @@ def estimate(
     """Estimate by a method, or ``all``; return the record and lines of text."""
     methods: Sequence[Any] = METHODS if method == "all" else [method]
     estimates = model.estimates(methods, progress=progress)
-    references = model.references()
+    references = model.references
     record = {
         "config": str(model.config.path),
         "estimates": {

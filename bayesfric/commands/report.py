@@ -45,7 +45,7 @@ def _for_paper(
     run: Path, name: str, texts: dict[str, str], progress: ProgressCallback
 ) -> list[str]:
     """Add LaTeX texts, and draw figures; return their files."""
-    from bayesfric.fit.result import Result
+    from bayesfric.fit.model import Result
     from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.run_directory import draw

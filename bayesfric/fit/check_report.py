@@ -14,8 +14,8 @@ from bayesfric.diagnostics.before_a_fit import (
     few_outputs,
     little_explained,
 )
+from bayesfric.fit.model import Model
 from bayesfric.inference.noise import SCALES
-from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.numbers import TEXT
@@ -49,7 +49,7 @@ class CheckReport:
         return (*texts, *map(doubt_text, self.record["doubts"]))
 
 
-def check(model: Problem | Path | str) -> CheckReport:
+def check(model: Model | Path | str) -> CheckReport:
     """Say what is measured, its quality and its problems, before anything is fitted.
 
     Parameters
@@ -62,11 +62,11 @@ def check(model: Problem | Path | str) -> CheckReport:
     BadInput
         For anything that cannot be used.
     """
-    model = model if isinstance(model, Problem) else Problem.from_config(model)
+    model = model if isinstance(model, Model) else Model.from_config(model)
     return CheckReport(_record(model))
 
 
-def _record(model: Problem) -> dict[str, Any]:
+def _record(model: Model) -> dict[str, Any]:
     explained, auto = model.explain(), model.config.tables.mechanism.auto
     # effects that a fit adds are no doubts; what remains is evaluated again then
     included = explained.applicable if auto else ()
@@ -118,7 +118,7 @@ def _record(model: Problem) -> dict[str, Any]:
     }
 
 
-def _parts(model: Problem) -> Iterator[tuple[Measurement, Observation, str | None]]:
+def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]]:
     """Yield everything read, with which part is held out."""
     for recording, observation in zip(model.recordings, model.observations, strict=True):
         yield recording, observation, None

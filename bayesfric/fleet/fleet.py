@@ -269,7 +269,7 @@ def _check(folder: Path, *, resume: bool) -> None:
 
 def _text(plan: Plan) -> str:
     """Write the record of a fleet's template, units and options."""
-    from bayesfric.problem.config_text import document_text
+    from bayesfric.problem.config import document_text
 
     runs = plan.runs.model_dump()
     units = {"count": len(plan.units)}

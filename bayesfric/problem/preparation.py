@@ -6,8 +6,12 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
-from bayesfric.base.errors import BadInput
+import numpy as np
+
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.estimates.processing import (
     Attenuated,
@@ -20,6 +24,7 @@ from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import MAX_ORDER, Autoregressive
 from bayesfric.inference.priors import Prior, as_knowledge
+from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
@@ -273,3 +278,26 @@ def _read(config: Config, chain: Joint, recording: Recording, number: int) -> li
             f"cannot be read ({error.strerror})",
             "check the file's name",
         ) from None
+
+
+def references(
+    config: Config, chain: Joint, observations: Sequence[Observation]
+) -> dict[str, dict[str, Any]]:
+    """Return values to compare with, by name; refuse names that no result has."""
+    units = {p.name: p.unit for p in chain.parameters}
+    middle = np.ones((1, len(chain.names)))
+    units |= {q.name: q.unit for q in derive(chain, middle, 1.0)}
+    projection = TotalsProjection(chain, observations)
+    for name, label in zip(projection.names, projection.labels, strict=True):
+        units[label] = projection.describe(name)[0]
+    converted, aliases = {}, projection.aliases()
+    for key, reference in config.references.items():
+        name = key if key in units else aliases.get(key, key)
+        if name not in units or (name != key and name in config.references):
+            raise BadInput(
+                f"{config.path}: references.{key}",
+                "no result of this mechanism has that name",
+                nearest(key, units),
+            )
+        converted[name] = {**reference.model_dump(), "unit": units[name]}
+    return converted

@@ -14,14 +14,21 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.fit.result import Result, result_of
+from bayesfric.fit.model import Model, Result
+from bayesfric.fit.result import result_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import Joint
-from bayesfric.problem.config import Config, parse_config, read_document, read_toml
-from bayesfric.problem.config_text import config_of, document_text, recording_table
-from bayesfric.problem.problem import Problem
+from bayesfric.problem.config import (
+    Config,
+    config_of,
+    document_text,
+    parse_config,
+    read_document,
+    read_toml,
+    recording_table,
+)
 from bayesfric.recordings.arrays import Array, Flags, without_excluded
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law, Measurement
@@ -346,9 +353,9 @@ def prepared_recordings(run: Result, recordings: Sequence[Recording]) -> list[Pr
 def _prepared(
     run: Result, config: Config, recordings: Sequence[Recording] | None
 ) -> list[PreparedRecording]:
-    problem = Problem.from_config(config, terms=run.joint.terms, recordings=recordings)
-    parts = [*zip(problem.recordings, problem.observations, strict=True)]
-    parts += [(x.recording, x.observation) for x in problem.held_out]
+    model = Model.from_config(config, terms=run.joint.terms, recordings=recordings)
+    parts = [*zip(model.recordings, model.observations, strict=True)]
+    parts += [(x.recording, x.observation) for x in model.held_out]
     return [PreparedRecording(m, o, _part(run, m)) for m, o in parts]
 
 

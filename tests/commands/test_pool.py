@@ -32,7 +32,7 @@ def days(bench):
 def test_it_prints_what_python_returns(bench):
     days(bench)
     found = bench.told("pool", "c.toml")
-    pooled = bf.Model.from_config(bench.folder / "c.toml").pool()
+    pooled = bf.pool(bf.Model.from_config(bench.folder / "c.toml"))
     again = json.loads(json.dumps(pooled.as_json()))
     # nothing is kept silent that is known before
     assert again["warnings"] == list(bf.check(bench.folder / "c.toml").warnings)

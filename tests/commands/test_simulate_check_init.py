@@ -4,7 +4,6 @@ import json
 import re
 import tomllib
 from importlib.resources import files
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ import typer
 from bayesfric.base.errors import BadInput
 from bayesfric.commands import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.fit.fit import may_be_simulated
+from bayesfric.fit.conclusion import may_be_simulated
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import parse_config, read_config
 
@@ -146,10 +145,10 @@ def test_a_table_that_changes_nothing_is_no_other_mechanism(bench):
 def test_a_template_does_not_say_that_recordings_are_simulated(bench):
     (bench.folder / "c.toml").write_text(bench.run("init", "motor-axis").out, encoding="utf-8")
     config = read_config(bench.folder / "c.toml")
-    assert not may_be_simulated(SimpleNamespace(config=config, recordings=()))
+    assert not may_be_simulated(config, ())
     text = config.text + "\n[simulation]\namplitude = 1.0\n"
     config = parse_config(text, bench.folder / "c.toml")
-    assert may_be_simulated(SimpleNamespace(config=config, recordings=()))
+    assert may_be_simulated(config, ())
 
 
 def test_init_writes_what_it_prints_and_replaces_a_file_only_where_asked(bench):

@@ -6,10 +6,10 @@ from scipy.integrate import quad
 
 import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.fit.model import Model
 from bayesfric.inference.discrepancy import Discrepancy, Missing
 from bayesfric.inference.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
-from bayesfric.problem.problem import Problem
 from tests.axis import AXIS, VALUES, swing
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
@@ -34,7 +34,7 @@ def model(vary=("motor.viscous",), count=4, **tables):
 
 @pytest.fixture(scope="module")
 def found():
-    return model().pool(seed=1)
+    return bf.pool(model(), seed=1)
 
 
 def test_each_recordings_own_value_is_found_and_the_rest_is_shared(found):
@@ -63,7 +63,7 @@ def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
     monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", room)
     before, after = (
         {one.name: one.value for one in pool.shared}["offset"]
-        for pool in (found, model().pool(seed=1))
+        for pool in (found, bf.pool(model(), seed=1))
     )
     # of two normals 90 % intervals are 3.29 sds wide
     sds = [(one.high - one.low) / 3.29 for one in (before, after)]
@@ -92,14 +92,14 @@ def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
     )
     lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
     explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
-    monkeypatch.setattr(Problem, "explain", lambda *_, **__: explained)
+    monkeypatch.setattr(Model, "explain", lambda *_, **__: explained)
 
     def room(target, *_):
         k = len(target.free)
         return Discrepancy(float(widened), np.zeros((1, k)), np.zeros(k), np.eye(k))
 
     monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", room)
-    pool = model(count=2, sampling=QUICK | {"min_ess": 100}).pool(seed=3)
+    pool = bf.pool(model(count=2, sampling=QUICK | {"min_ess": 100}), seed=3)
     assert {one.severity for one in pool.findings} == {"note" if widened else "doubt"}
     assert [one.findings for one in pool.varying] == [() if widened else ("stribeck",)]
     assert pool.outcome == ("usable" if widened else "doubtful")
@@ -128,7 +128,7 @@ def test_the_population_mean_is_integrated_exactly():
 
 def test_the_same_seed_gives_the_same_numbers():
     few = QUICK | {"min_ess": 100}
-    first, second = (model(count=2, sampling=few).pool(seed=3) for _ in range(2))
+    first, second = (bf.pool(model(count=2, sampling=few), seed=3) for _ in range(2))
     assert first.varying == second.varying
     assert first.shared == second.shared
 
@@ -146,5 +146,5 @@ def test_the_same_seed_gives_the_same_numbers():
 )
 def test_what_cannot_be_pooled_is_refused(given, said):
     with pytest.raises(bf.BadInput, match=r"pooling|likelihood|recordings") as error:
-        model(**given).pool()
+        bf.pool(model(**given))
     assert said in str(error.value)
