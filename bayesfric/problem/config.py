@@ -8,11 +8,12 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable, Table
 
@@ -118,28 +119,16 @@ class Tables(Options):
     simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate'")
 
 
-class FittedFile(BaseModel):
-    """The file of a recording at the time of the fit."""
-
-    model_config = ConfigDict(frozen=True)
-
-    file: Path
-    sha256: str
-
-
 class Origin(BaseModel):
     """Original places of a run's configuration and recordings, ``source`` in ``summary.json``."""
 
-    model_config = ConfigDict(frozen=True)
-
     folder: Path
-    recordings: dict[str, FittedFile]
+    recordings: dict[str, dict[str, str]]  # ``file`` and its ``sha256`` by name
 
 
-class Config(BaseModel):
+@dataclass(frozen=True)
+class Config:
     """A configuration and its file."""
-
-    model_config = ConfigDict(frozen=True)
 
     path: Path
     text: str  # of the file
@@ -153,7 +142,7 @@ class Config(BaseModel):
         If fitted files are missing there, it is the run's.
         """
         origin = self.origin
-        if origin and all(recording.file.exists() for recording in origin.recordings.values()):
+        if origin and all(Path(file["file"]).exists() for file in origin.recordings.values()):
             return origin.folder
         return self.path.parent
 
@@ -163,7 +152,7 @@ class Config(BaseModel):
         return Origin(
             folder=folder.absolute(),
             recordings={
-                r.name: FittedFile(file=r.path.absolute(), sha256=r.sha256)
+                r.name: {"file": str(r.path.absolute()), "sha256": r.sha256}
                 for r in recordings
                 if r.path
             },
@@ -199,8 +188,7 @@ class Config(BaseModel):
 
 def read_config(path: Path) -> Config:
     """Read and validate a configuration."""
-    text = read_toml(path)
-    return parse_config(text, path).model_copy(update={"origin": _origin(path)})
+    return replace(parse_config(read_toml(path), path), origin=_origin(path))
 
 
 def read_toml(path: Path) -> str:
@@ -214,7 +202,9 @@ def _origin(path: Path) -> Origin | None:
     if path.name != RUN_CONFIG or not summary.is_file():
         return None
     try:
-        return Origin.model_validate(read_json(summary)["source"])
+        origin = Origin.model_validate(read_json(summary)["source"])
+        complete = all({"file", "sha256"} <= file.keys() for file in origin.recordings.values())
+        return origin if complete else None
     except (BadInput, ValueError, LookupError, TypeError):
         return None
 
@@ -235,8 +225,8 @@ def read_document(text: str, path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except ValueError as error:
         what = f"is not TOML ({str(error).partition(';')[0]})"
-        mend = 'write key = value, each key once, with text in "quotes"'
-        raise BadInput(str(path), what, mend) from None
+        hint = 'write key = value, each key once, with text in "quotes"'
+        raise BadInput(str(path), what, hint) from None
 
 
 def checked_toml(text: str, path: Path, model: type[OptionsModel], kind: str) -> OptionsModel:
@@ -313,7 +303,7 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
         text = tomlkit.dumps(document)
         if not has_table:
             text = f"{text.rstrip()}\n\n{tomlkit.dumps(setting)}"
-    return parse_config(text, config.path).model_copy(update={"origin": config.origin})
+    return replace(parse_config(text, config.path), origin=config.origin)
 
 
 def _put(table: Any, setting: Mapping[str, Any]) -> bool:

@@ -102,8 +102,8 @@ def _read_all(
         measurements += _read(config, chain, recording, number)
     fitted = config.origin.recordings if config.origin else {}
     for k, r in enumerate(measurements):
-        if r.name in fitted and fitted[r.name].sha256 != r.sha256:
-            text = f"changed since the run was made: its SHA-256 was {fitted[r.name].sha256}"
+        if r.name in fitted and fitted[r.name]["sha256"] != r.sha256:
+            text = f"changed since the run was made: its SHA-256 was {fitted[r.name]['sha256']}"
             measurements[k] = replace(r, warnings=(*r.warnings, text))
     _check_recordings(config, chain, measurements)
     return measurements
