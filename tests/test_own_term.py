@@ -40,13 +40,13 @@ SIMULATION = {
 
 @pytest.fixture(scope="module")
 def recording():
-    made = bf.simulate(JOINT.with_term(COGGING), TRUE, **SIMULATION, seed=3)
-    return recording_of(made, name="bench")
+    simulated = bf.simulate(JOINT.with_term(COGGING), TRUE, **SIMULATION, seed=3)
+    return recording_of(simulated, name="bench")
 
 
 @pytest.fixture(scope="module")
 def model(recording):
-    return bf.Model(JOINT, recording).with_term(COGGING)
+    return bf.Model(JOINT.with_term(COGGING), recording)
 
 
 @pytest.fixture(scope="module")
@@ -109,12 +109,14 @@ def test_a_term_of_time_at_the_load():
     """The model's torque is the one that the term is simulated with."""
     drift = bf.Term("load.drift", lambda m: np.exp(-0.3 * m.time), unit="N m")
     true = {name: value for name, value in TRUE.items() if name != "motor.cogging"}
-    made = bf.simulate(JOINT.with_term(drift), true | {"load.drift": 0.3}, **SIMULATION, seed=4)
-    model = bf.Model(JOINT.with_term(drift), recording_of(made))
+    simulated = bf.simulate(
+        JOINT.with_term(drift), true | {"load.drift": 0.3}, **SIMULATION, seed=4
+    )
+    model = bf.Model(JOINT.with_term(drift), recording_of(simulated))
     row = model.estimate("input-error").loc["load.drift"]
     assert abs(row["value"] - 0.3) < 5.0 * row["sd_robust"]
 
 
-def test_an_element_that_is_not_there(model):
+def test_a_missing_element_is_refused():
     with pytest.raises(BadInput, match="did you mean 'motor'"):
-        model.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))
+        JOINT.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))
