@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
 from bayesfric.diagnostics.explanation import Explanation, Finding
 from bayesfric.estimates.assemble import collinear_losses
@@ -69,14 +68,12 @@ def conclude(
     explained: Explanation,
     included: Sequence[Finding],
     contradicted: Mapping[str, tuple[float, float]],
-    progress: ProgressCallback,
 ) -> Summary:
     """Check a posterior, and summarise it: numbers with intervals, and doubts."""
     target, posterior, tables = fit.target, fit.posterior, config.tables
     checked: CalibrationCheck | None = None
     if tables.self_check.recordings != 0:
         checked = calibration_check(target, posterior, fit.observations, explained)
-    progress(Progress("identifiability"))
     directions: list[OpenDirection] = []
     with suppress(BadInput):  # the median may be impossible to simulate
         directions += identify(start.target, posterior.median).directions

@@ -205,9 +205,10 @@ class Model:
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
-        frame.loc[np.isinf(frame["sd"]), ["value", "sd", "sd_robust"]] = np.nan
-        first = ["value", "sd", "sd_robust", "unit"]
-        frame = frame[[*first, *(name for name in frame.columns if name not in first)]]
+        numbers = ["value", "sd", "sd_robust"]
+        frame.loc[np.isinf(frame["sd"]), numbers] = np.nan
+        first = [*numbers, "unit"]
+        frame = frame[[*first, *frame.columns.difference(first, sort=False)]]
         return frame.droplevel("method") if len(methods) == 1 else frame
 
     def estimates(
@@ -609,7 +610,8 @@ class Model:
         # examine and conclude
         errors = discrepancy(fit.target, fit.posterior, explained.missing)
         fit = replace(fit, discrepancy=errors)
-        contradictions = model.contradicted(dict(start.searched.point))
+        contradicted = model.contradicted(dict(start.searched.point))
+        progress(Progress("identifiability"))
         summary = conclude(
             config,
             model.recordings,
@@ -618,10 +620,9 @@ class Model:
             fit,
             explained,
             included,
-            contradictions,
-            progress,
+            contradicted,
         )
-        return Result.of_fit(model, fit, summary)
+        return Result(model, summary, config.path.stem, fit.wide.posterior.flat(), fit)
 
     def settings(self, seed: int | None) -> Sampling:
         """Return the table ``sampling``, with another seed if one is given."""
@@ -677,11 +678,6 @@ class Result:
     folder: Path | None = None  # run directory that it was read from
 
     @classmethod
-    def of_fit(cls, model: Model, fit: Fit, summary: Summary) -> Result:
-        """Return the result of sampling a model."""
-        return cls(model, summary, model.config.path.stem, fit.wide.posterior.flat(), fit)
-
-    @classmethod
     def read(cls, run: Path) -> Result:
         """Read a run directory.
 
@@ -727,13 +723,12 @@ class Result:
 
     def values(self, draws: Array) -> Array:
         """Insert fixed parameters: ``(n, d)`` to ``(n, n_parameters)``."""
-        parameters = np.empty((len(draws), len(self.joint.names)))
-        for k, name in enumerate(self.joint.names):
-            if name in self.names:
-                parameters[:, k] = draws[:, self.names.index(name)]
-            else:
-                parameters[:, k] = self.model.priors[name].value
-        return parameters
+        columns = dict(zip(self.names, draws.T, strict=True))
+        parameters = [
+            columns[name] if name in columns else np.full(len(draws), self.model.priors[name].value)
+            for name in self.joint.names
+        ]
+        return np.stack(parameters, axis=1)
 
     @cached_property
     def fit(self) -> Fit:
