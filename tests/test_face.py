@@ -50,8 +50,8 @@ def measured(seed=0, n=2000):
     return t, q, axis().torque(TRUTH, q, qd, qdd) + noise
 
 
-def arrays(seed=0, **more):
-    return bf.Recording.from_arrays(*measured(seed), **more)
+def arrays(seed=0, **options):
+    return bf.Recording.from_arrays(*measured(seed), **options)
 
 
 def same_draws(first, second):
@@ -63,14 +63,13 @@ def same_draws(first, second):
 @pytest.mark.slow
 def test_the_example_of_the_reference_is_the_fit(bench, monkeypatch):
     text = (REPOSITORY / "studies/reference/python.md").read_text()
-    without_figures(monkeypatch)  # of runs: it is the draws that are compared
     (code,) = re.findall(r"<!-- python-example -->\n```python\n(.*?)```\n<!-- end -->", text, re.S)
     # the first 1.5 s, and few draws: the two ways are the same at any length
     knee = (Path(str(files("bayesfric") / "examples")) / "knee.csv").read_text().splitlines()
     (bench.folder / "knee.csv").write_text("\n".join(knee[:1501]) + "\n")
     monkeypatch.setattr(bf, "Model", partial(bf.Model, sampling={"min_ess": 1000}))
-    told = {}
-    exec(compile(code, "python.md", "exec"), told)
+    example = {}
+    exec(compile(code, "python.md", "exec"), example)
     (bench.folder / "own.toml").write_text("""
 [mechanism]
 preset = "rabbit-knee"
@@ -86,10 +85,10 @@ min_ess = 1000
 """)
     ended = bench.run("fit", "own.toml", "-o", "own-run", "--seed", "1")
     assert ended.code == 0, ended
-    kept = xr.load_datatree(bench.folder / "own-run" / "posterior.nc")
-    same_draws(kept["posterior"], told["post"]["posterior"])
-    same_draws(kept["derived"], told["post"]["derived"])
-    inertia = told["post"].posterior["motor.inertia"]
+    tree = xr.load_datatree(bench.folder / "own-run" / "posterior.nc")
+    same_draws(tree["posterior"], example["post"]["posterior"])
+    same_draws(tree["derived"], example["post"]["derived"])
+    inertia = example["post"].posterior["motor.inertia"]
     assert inertia.attrs["units"] == "kg m²"
     assert inertia.attrs["verdict"] in ("data", "weak", "prior")
 
@@ -98,10 +97,9 @@ min_ess = 1000
 def test_arrays_and_tables_find_the_truth_and_make_a_run_of_their_own(bench):
     t, q, tau = measured(seed=2)
     table = pd.DataFrame({"stamp": 1e3 * t, "angle": np.degrees(q), "tau": tau})
-    named = {"time": "stamp", "position": "angle", "torque": "tau"}
-    two = bf.Recording.from_dataframe(
-        table, **named, units={"time": "ms", "position": "deg"}, name="two"
-    )
+    columns = {"time": "stamp", "position": "angle", "torque": "tau"}
+    units = {"time": "ms", "position": "deg"}
+    two = bf.Recording.from_dataframe(table, **columns, units=units, name="two")
     model = bf.Model(axis(), [arrays(1), two], sampling=QUICK, references={"offset": 0.02})
     posterior = model.sample(seed=3)
     for name, value in TRUTH.items():
@@ -111,9 +109,9 @@ def test_arrays_and_tables_find_the_truth_and_make_a_run_of_their_own(bench):
     assert bf.report(posterior, run) == run / "report.html"
     source = json.loads((run / "summary.json").read_text())["source"]["recordings"]
     assert set(source) == {"recording-1", "two"}
-    for kept in source.values():
-        assert hashlib.sha256(Path(kept["file"]).read_bytes()).hexdigest() == kept["sha256"]
-    # wherever it is carried to
+    for file in source.values():
+        assert hashlib.sha256(Path(file["file"]).read_bytes()).hexdigest() == file["sha256"]
+    # also in another folder
     shutil.move(run, bench.folder / "elsewhere")
     again = bf.Model.from_config(bench.folder / "elsewhere" / "config.toml")
     assert all(not o.warnings for o in again.observations)
@@ -129,22 +127,22 @@ def test_log_density_is_the_posterior_that_is_sampled():
     target = model.white_target()
     expected = target.log_prior(rows) + target.log_likelihood(rows)
     np.testing.assert_allclose(model.log_density(rows), expected)
-    one = dict(zip(model.names, rows[0], strict=True))
-    assert model.log_density(one) == pytest.approx(expected[0])
-    assert model.log_density(one | {"motor.viscous": 2.0}) == -np.inf
-    assert model.log_density(one | {"motor.inertia": -1.0}) == -np.inf
+    theta = dict(zip(model.names, rows[0], strict=True))
+    assert model.log_density(theta) == pytest.approx(expected[0])
+    assert model.log_density(theta | {"motor.viscous": 2.0}) == -np.inf
+    assert model.log_density(theta | {"motor.inertia": -1.0}) == -np.inf
     with pytest.raises(BadInput, match="names other parameters"):
         model.log_density({"motor.inertia": 1.0})
     with pytest.raises(BadInput, match="5 numbers"):
         model.log_density([1.0, 2.0])
 
 
-def test_point_estimates_and_what_can_be_known_are_tables():
+def test_point_estimates_and_identifiability_are_tables():
     model = bf.Model(axis(), [arrays()])
-    found = model.estimate("input-error")
-    assert found.loc["motor.inertia", "value"] == pytest.approx(0.01, rel=0.02)
-    assert list(found.index.names) == ["name"]
-    assert list(found.columns[:2]) == ["value", "sd"]
+    frame = model.estimate("input-error")
+    assert frame.loc["motor.inertia", "value"] == pytest.approx(0.01, rel=0.02)
+    assert list(frame.index.names) == ["name"]
+    assert list(frame.columns[:2]) == ["value", "sd"]
     assert {"least-squares", "input-error"} == set(
         model.estimate("least-squares", "input-error").index.get_level_values("method")
     )
@@ -153,41 +151,39 @@ def test_point_estimates_and_what_can_be_known_are_tables():
 
 def test_check_is_what_the_command_prints(bench):
     pd.DataFrame(dict(zip("tqu", measured(), strict=True))).to_csv(bench.folder / "one.csv")
-    one = bf.Recording.from_file(bench.folder / "one.csv", time="t", position="q", torque="u")
-    model = bf.Model(axis(), one)
+    file = bf.Recording.from_file(bench.folder / "one.csv", time="t", position="q", torque="u")
+    model = bf.Model(axis(), file)
     (bench.folder / "c.toml").write_text(model.config.text)
-    told = bench.run("check", "c.toml")
-    same = bf.check("c.toml")
-    assert told.out.splitlines() == same.text().splitlines()
-    assert json.loads(bench.run("check", "c.toml", "--json").out) == same.as_json()
+    report = bf.check("c.toml")
+    assert bench.run("check", "c.toml").out.splitlines() == report.text().splitlines()
+    assert json.loads(bench.run("check", "c.toml", "--json").out) == report.as_json()
     # nothing is wrong, and the friction is that of the motion
-    found = bf.check(model)
-    assert found.warnings == ()
-    row = found.as_json()["least_squares"]["parameters"]["motor.coulomb"]
+    report = bf.check(model)
+    assert report.warnings == ()
+    row = report.as_json()["least_squares"]["parameters"]["motor.coulomb"]
     assert row["value"] == pytest.approx(TRUTH["motor.coulomb"], rel=0.02)
 
 
 def test_the_torque_that_a_motion_takes_is_the_sum_of_its_terms():
     speed, acceleration = np.array([0.5, -2.0, 0.0]), np.array([1.0, 0.0, 3.0])
     expected = 0.01 * acceleration + 0.05 * speed + 0.2 * np.sign(speed) + 0.02
-    found = axis().torque(TRUTH, 0.3, speed, acceleration)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
     # a posterior's draws hold the noise's, too
-    noisy = axis().torque(TRUTH | {"noise.sigma": 0.1}, 0.3, speed, acceleration)
-    np.testing.assert_allclose(noisy, expected, rtol=1e-12)
+    for values in (TRUTH, TRUTH | {"noise.sigma": 0.1}):
+        torque = axis().torque(values, 0.3, speed, acceleration)
+        np.testing.assert_allclose(torque, expected, rtol=1e-12)
     # draws of some, with others known
     draws = axis().torque(TRUTH | {"offset": np.array([0.02, 0.52])}, 0.3, speed, acceleration)
     np.testing.assert_allclose(draws, [expected, expected + 0.5], rtol=1e-12)
-    # as the drive would tell it; how late a position is read is nothing to a motion that is given
-    told = TRUTH | {"drive.gain": 0.8, "drive.delay": 0.01}
-    late = replace(axis(), gain=True, delay=True).torque(told, 0.3, speed, acceleration)
+    # as the drive would measure it; a delay of the position does not change a given motion
+    values = TRUTH | {"drive.gain": 0.8, "drive.delay": 0.01}
+    late = replace(axis(), gain=True, delay=True).torque(values, 0.3, speed, acceleration)
     np.testing.assert_allclose(late, expected / 0.8, rtol=1e-12)
     with pytest.raises(KeyError, match=r"missing: \['offset'\]"):
         axis().torque({n: x for n, x in TRUTH.items() if n != "offset"}, 0.3, speed, acceleration)
 
 
 @pytest.mark.usefixtures("unexplained")
-def test_figures_and_summaries_are_of_what_was_sampled():
+def test_figures_and_reports_take_a_sampled_posterior():
     posterior = bf.Model(axis(), arrays(), noise="white", sampling=QUICK).sample()
     assert "friction" in dir(PLOT)
     assert len(dir(PLOT)) == len(set(dir(PLOT)))
@@ -208,7 +204,7 @@ def test_objects_show_themselves():
 
 
 @pytest.mark.parametrize(
-    ("keywords", "told"),
+    ("keywords", "message"),
     [
         ({"samplin": {}}, "samplin: unknown key; did you mean 'sampling'"),
         ({"sampling": 3}, "sampling: got 3; it should be a table"),
@@ -217,13 +213,13 @@ def test_objects_show_themselves():
         ({"priors": {"motor.inertia": np.float64(-1)}}, "motor.inertia: -1 is not possible"),
     ],
 )
-def test_bad_keywords_are_named(keywords, told):
-    with pytest.raises(BadInput, match=told):
+def test_bad_keywords_are_named(keywords, message):
+    with pytest.raises(BadInput, match=message):
         bf.Model(axis(), arrays(), **keywords)
 
 
 @pytest.mark.parametrize(
-    ("viscous", "given", "name"),
+    ("viscous", "key", "name"),
     [
         ("by-direction", "motor.viscous", "total.viscous"),
         ("by-direction", "total.viscous", "total.viscous"),
@@ -231,13 +227,12 @@ def test_bad_keywords_are_named(keywords, told):
         (True, "motor.viscous", "motor.viscous"),
     ],
 )
-def test_a_reference_is_of_the_same_loss_by_direction_or_not(viscous, given, name):
+def test_a_reference_is_of_the_same_loss_by_direction_or_not(viscous, key, name):
     """What ``explain`` advises to add does not break what a configuration compares with."""
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=viscous)
     joint = bf.Joint([motor], bf.Load(), offset=True)
-    found = bf.Model(joint, arrays(), references={given: 0.05}).references
-    assert set(found) == {name}
-    assert found[name]["value"] == 0.05
+    references = bf.Model(joint, arrays(), references={key: 0.05}).references
+    assert {key: row["value"] for key, row in references.items()} == {name: 0.05}
     with pytest.raises(BadInput, match="no result of this mechanism"):
         bf.Model(joint, arrays(), references={"total.viscous": 0.05, "motor.viscous": 0.05})
 
@@ -268,24 +263,23 @@ def test_a_frozen_distribution_is_its_text(prior):
 def test_a_joint_is_its_text(name):
     preset = PRESETS[name].chain()
     joint = bf.Joint.preset(name)
-    for made in (joint, bf.Joint(joint.elements, joint.load, offset=joint.offset)):
-        chain = config_of({"mechanism": mechanism_table(made)}).tables.mechanism.joint()
+    for same in (joint, bf.Joint(joint.elements, joint.load, offset=joint.offset)):
+        chain = config_of({"mechanism": mechanism_table(same)}).tables.mechanism.joint()
         assert (chain.elements, chain.load) == (preset.elements, preset.load)
-        assert (chain.offset, chain.made_from) == (preset.offset, made.made_from)
+        assert (chain.offset, chain.made_from) == (preset.offset, same.made_from)
 
 
 def test_importing_it_imports_nothing_heavy():
     assert brought("bayesfric, bayesfric.commands.cli", "numpy") == "[]"
 
 
-def test_numbers_on_a_terminal_wait_for_no_library_of_figures_and_tables():
-    """Tables for print brought Matplotlib, 0.4 s of it, before the first number of a fit."""
+def test_a_fit_imports_no_library_of_figures_and_tables():
+    """Matplotlib takes 0.4 s, before the first number of a fit."""
     heavy = ("matplotlib", "pandas", "arviz", "xarray")
     assert brought("bayesfric.commands.fit, bayesfric.fit.model", *heavy) == "[]"
 
 
-def test_an_element_that_does_nothing_stays_in_the_chain():
-    """Others may be added to it, and what is written down is what was given."""
+def test_an_element_without_parameters_stays_in_the_chain():
     joint = bf.Joint([bf.Element("motor", inertia=True), bf.Element("gearbox")])
     assert mechanism_table(joint)["elements"]["gearbox"] == {}
     config = config_of({"mechanism": mechanism_table(joint)})

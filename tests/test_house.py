@@ -28,18 +28,18 @@ FLOORS = (
     ("__main__",),
 )
 PLACES = [place for floor in FLOORS for place in floor]
-TOP = "the files beside the rooms"
+TOP = "the files outside the rooms"
 
 
 def modules_of(tree: ast.AST) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from (one.name for one in node.names)
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, "imports are written from bayesfric on"
-            for one in node.names:
-                whole = f"{node.module}.{one.name}"
-                yield whole if whole in FILES else node.module
+            for alias in node.names:
+                name = f"{node.module}.{alias.name}"
+                yield name if name in FILES else node.module
 
 
 FILES = {
@@ -53,7 +53,7 @@ IMPORTS = {
 
 
 def place(name: str) -> str:
-    """Give the room that a file is in, or its own name where it stands beside them."""
+    """Return the room of a file, or its own name if it is in none."""
     return name.split(".")[1] if "." in name else name
 
 
@@ -66,9 +66,9 @@ ROOMS = sorted({room(name) for name in FILES})
 
 @pytest.mark.parametrize("name", ROOMS)
 def test_no_circle_is_inside_a_room(name):
-    inside = {one for one in FILES if room(one) == name}
+    files = {file for file in FILES if room(file) == name}
     try:
-        TopologicalSorter({one: IMPORTS[one] & inside for one in inside}).prepare()
+        TopologicalSorter({file: IMPORTS[file] & files for file in files}).prepare()
     except CycleError as error:
         pytest.fail(" imported by ".join(error.args[1]))
 
@@ -82,10 +82,10 @@ def test_a_place_imports_only_what_lies_below_it(name):
     height = next(k for k, floor in enumerate(FLOORS) if name in floor)
     below = {name}.union(*FLOORS[:height])
     above = [
-        f"{one} imports {other}"
-        for one in FILES
-        if place(one) == name
-        for other in IMPORTS[one]
+        f"{file} imports {other}"
+        for file in FILES
+        if place(file) == name
+        for other in IMPORTS[file]
         if place(other) not in below
     ]
     assert not above
