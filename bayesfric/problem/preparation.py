@@ -85,9 +85,8 @@ def prepare(
                 divided = _note_attenuation(divided, doubted)
             divided = _with_delay(divided, delay)
         encoder = divided.observations
-        divided = _with_refined_motion(
-            divided, chain, as_knowledge(chain, priors), tables.estimation
-        )
+        known = as_knowledge(chain, priors)
+        divided = _with_refined_motion(divided, chain, known, tables.estimation)
     return chain, priors, divided, encoder
 
 
@@ -178,23 +177,16 @@ def _with_refined_motion(
 
 def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measurement]) -> None:
     """Refuse duplicate and reserved names, and held-out data for simulations."""
+    where, tables = f"{config.path}: recordings", config.tables
     for name, count in Counter(r.name for r in recordings).items():
         if count > 1:
-            raise BadInput(
-                f"{config.path}: recordings",
-                f"{count} are called {name!r}",
-                "give each a name of its own with name = ...",
-            )
+            raise BadInput(where, f"{count} are called {name!r}", "give each its own name = ...")
         # posterior.nc names arrays after recordings and parameters
         if "/" in name or name in {*chain.names, "chain", "draw", "lp", "ensemble"}:
-            raise BadInput(
-                f"{config.path}: recordings",
-                f"a recording cannot be called {name!r}",
-                "give it another name with name = ...",
-            )
-    tables = config.tables
-    wanted = tables.validation.recordings or tables.validation.hold_out is not None
-    if wanted and tables.likelihood.method == "output-error":
+            problem = f"a recording cannot be called {name!r}"
+            raise BadInput(where, problem, "give it another name with name = ...")
+    holds_out = tables.validation.recordings or tables.validation.hold_out is not None
+    if holds_out and tables.likelihood.method == "output-error":
         raise BadInput(
             f"{config.path}: validation",
             "is not offered for the output-error likelihood",
