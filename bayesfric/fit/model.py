@@ -36,9 +36,9 @@ from bayesfric.fit.conclusion import StartingPoint, conclude, refuse_collinear_l
 from bayesfric.fit.saved_draws import flat_draws, read_draws, saved_fit
 from bayesfric.identifiability.identification import Identification, identify, speed_term
 from bayesfric.identifiability.local import estimate_point, local_information
-from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit, make_target, target_of
+from bayesfric.inference.fitting import fit as sample_posterior
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -604,7 +604,9 @@ class Model:
         # sample
         settings = self.settings(seed)
         with config.named():
-            fit = fitting.fit(start.target, settings, estimates=start.estimates, progress=progress)
+            fit = sample_posterior(
+                start.target, settings, estimates=start.estimates, progress=progress
+            )
         if model.held_out:
             fit = replace(fit, held_out=predict_held_out(fit.target, fit.posterior, model.held_out))
         # examine and conclude
