@@ -118,5 +118,5 @@ def test_a_term_of_time_at_the_load():
 
 
 def test_a_missing_element_is_refused():
-    with pytest.raises(BadInput, match="did you mean 'motor'"):
+    with pytest.raises(ValueError, match="did you mean 'motor'"):
         JOINT.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))
