@@ -34,3 +34,15 @@ def swing(time, lines):
         qd += a * w * np.cos(w * time)
         qdd -= a * w**2 * np.sin(w * time)
     return q, qd, qdd
+
+
+def torque_columns(q, qd, qdd):
+    """Give the columns ``(n, parameters)`` of the axis' torque."""
+    columns = {
+        "motor.inertia": qdd,
+        "motor.viscous": qd,
+        "motor.coulomb": np.sign(qd),
+        "load.first_moment": 9.80665 * np.sin(q),
+        "offset": np.ones(q.size),
+    }
+    return np.stack([columns[name] for name in AXIS.names], axis=1)

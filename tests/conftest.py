@@ -43,12 +43,11 @@ LONG = {
     "arm": """
         arm""",
     "commands": """
-        advise again bad_runs compare doubts estimate explain fit identify killed
-        little_explained own_offsets pool report terminal_and_disk validation voltage""",
+        doubts estimate explain fit identify runs""",
     "diagnostics": """
         calibration_check explanation regression""",
     "estimates": """
-        attenuation collinear_losses delay input_error output_error shooting""",
+        assemble input_error output_error processing""",
     "export": """
         command mujoco""",
     "fleet": """
@@ -56,8 +55,7 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy fast_moments likelihood_dense proposals sampling
-        static_friction stiction_violations""",
+        discrepancy likelihood_dense moments proposals sampling standstill""",
     "mechanism": """
         closed_loop quantities""",
     "population": """

@@ -1,4 +1,4 @@
-"""A term of one's own goes the whole way, from arrays to the page, like any other."""
+"""A user's term is fitted and reported like any other, from arrays to the page."""
 
 import json
 
@@ -40,8 +40,8 @@ SIMULATION = {
 
 @pytest.fixture(scope="module")
 def recording():
-    simulated = bf.simulate(JOINT.with_term(COGGING), TRUE, **SIMULATION, seed=3)
-    return recording_of(simulated, name="bench")
+    table = bf.simulate(JOINT.with_term(COGGING), TRUE, **SIMULATION, seed=3)
+    return recording_of(table, name="bench")
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def run(model, tmp_path_factory):
 
 
 @pytest.mark.parametrize("method", ["least-squares", "input-error", "output-error"])
-def test_every_estimate_finds_it(model, method):
+def test_every_method_estimates_it(model, method):
     row = model.estimate(method).loc["motor.cogging"]
     assert row["unit"] == "N m"
     # five sds of what is estimated from 5000 samples, by the sd that accounts for correlation
@@ -70,7 +70,7 @@ def test_the_posterior_holds_it(run):
     posterior, _ = run
     row = bf.summary(posterior).parameters["motor.cogging"]
     low, high = row.interval
-    # 90 % intervals of all five at once would miss now and then; twice as wide ones do not
+    # an interval of 90 % would miss now and then; twice as wide it does not
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     assert abs(middle - TRUE["motor.cogging"]) < 2.0 * half
     assert half < 0.01
@@ -78,14 +78,13 @@ def test_the_posterior_holds_it(run):
     assert posterior.posterior["motor.cogging"].attrs["units"] == "N m"
 
 
-def test_without_it_the_other_numbers_are_wrong(recording, model):
-    """What the term takes is no noise: left out, it is in the residuals."""
+def test_without_it_the_residuals_are_larger(recording, model):
     bare = bf.Model(JOINT, recording)
     rms = [m.estimates(["input-error"])[0].residual_rms for m in (bare, model)]
     assert rms[0] > 3.0 * rms[1]
 
 
-def test_tables_and_page_show_it(run):
+def test_tables_and_page_contain_it(run):
     _, folder = run
     parameters = json.loads((folder / "summary.json").read_text())["parameters"]
     assert parameters["motor.cogging"]["symbol"] == "k_6"
@@ -95,7 +94,7 @@ def test_tables_and_page_show_it(run):
     assert any((folder / "figures").glob("friction.*"))
 
 
-def test_its_run_is_fitted_again_only_with_it(run, model):
+def test_a_run_is_read_again_only_with_its_term(run, model):
     posterior, folder = run
     with pytest.raises(BadInput, match=r"motor\.cogging"):
         bf.Model.from_config(folder / "config.toml")
@@ -106,17 +105,14 @@ def test_its_run_is_fitted_again_only_with_it(run, model):
 
 
 def test_a_term_of_time_at_the_load():
-    """The model's torque is the one that the term is simulated with."""
     drift = bf.Term("load.drift", lambda m: np.exp(-0.3 * m.time), unit="N m")
     true = {name: value for name, value in TRUE.items() if name != "motor.cogging"}
-    simulated = bf.simulate(
-        JOINT.with_term(drift), true | {"load.drift": 0.3}, **SIMULATION, seed=4
-    )
-    model = bf.Model(JOINT.with_term(drift), recording_of(simulated))
+    table = bf.simulate(JOINT.with_term(drift), true | {"load.drift": 0.3}, **SIMULATION, seed=4)
+    model = bf.Model(JOINT.with_term(drift), recording_of(table))
     row = model.estimate("input-error").loc["load.drift"]
     assert abs(row["value"] - 0.3) < 5.0 * row["sd_robust"]
 
 
-def test_a_missing_element_is_refused():
-    with pytest.raises(ValueError, match="did you mean 'motor'"):
-        JOINT.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))
+def test_an_element_that_does_not_exist(model):
+    with pytest.raises(BadInput, match="did you mean 'motor'"):
+        model.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))

@@ -9,16 +9,16 @@ whose coefficients have standard normal priors (:mod:`bayesfric.arm.inertial_pri
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
+from bayesfric.arm.arm_log import ArmLog, layout_of, signals
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
-from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, directions, resolution
+from bayesfric.arm.inertial_prior import Bodies, UrdfJoint, directions, resolution
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
 from bayesfric.fit.model import Model
@@ -35,15 +35,6 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.units import OPEN
 
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
-# Samples from which the directions of the inertial prior are computed.
-_DIRECTION_SAMPLES = 2000
-# Effective draws: the ends of a 90 % interval are then right to a tenth of a standard deviation,
-# and six joints take a minute.
-_MIN_ESS = 400
-# Relative standard deviation of a rotor's inertia that is specified.
-_ROTOR_SD = 0.2
-# Share of an effort's sd that the rigid-body torque explains before their ratio is checked.
-_RIGID_SHARE = 0.5
 
 
 class Arm:
@@ -108,10 +99,10 @@ class Arm:
         BadInput
             If the log cannot be read, does not match the URDF, or no joint can be fitted.
         """
-        options, joints = self.options, self.bodies.joints
+        options, bodies = self.options, self.bodies
         paths = [Path(path) for path in ([log] if isinstance(log, Path | str) else log)]
-        first_path, fitted_count = paths[0], len(paths)
-        layout = self._layout(first_path)
+        fitted_count = len(paths)
+        layout = self._layout(paths[0])
         paths += [] if predict is None else [Path(predict)]
         names = [path.stem for path in paths]
         if len(set(names)) < len(names):
@@ -122,64 +113,83 @@ class Arm:
                 raise BadInput("payload.logs", problem, nearest(name, names))
         with progress_shown(progress) as report:
             report(Progress("motion"))
+            size = options.samples // len(paths)
             logs = [
-                ArmLog(path, name, options, layout, joints, options.samples // len(paths))
+                ArmLog(path, name, options, layout, bodies.joints, size)
                 for path, name in zip(paths, names, strict=True)
             ]
             efforts: dict[str, Measurement | BadInput] = {}
             for name in logs[0].sources:
                 if self._joint_options(name).fit:
                     try:
-                        efforts[name] = logs[0].measured(joints[name])
+                        efforts[name] = logs[0].measured(bodies.joints[name])
                     except BadInput as error:
                         efforts[name] = error
             report(Progress("torque of the bodies"))
-            prior = self.bodies.prior(options.urdf, options.payload)
-            joint_priors = self._joint_priors(prior, logs, efforts)
+            prior = bodies.prior(options.urdf, options.payload)
+            parameters = [prior.columns(loaded=log.loaded) for log in logs]
+            projected = self._projected(parameters, logs, efforts)
             fitted = {}
             for name, effort in efforts.items():
                 report(Progress(name))
-                fitted[name] = self._fit_joint(
-                    joints[name], effort, logs, joint_priors[name], names[fitted_count:],
-                    seed, report,
-                )  # fmt: skip
+                joint = FittedJoint(
+                    bodies.joints[name], self._joint_options(name).gear_ratio, projected[name][0]
+                )
+                try:
+                    if isinstance(effort, BadInput):
+                        raise effort
+                    urdf, *deviations = projected[name][1][0]
+                    joint = replace(
+                        joint,
+                        remarks=tuple(remarks(joint.joint, effort, urdf)),
+                        urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
+                    )
+                    model = self._model(joint, logs, projected[name][1], names[fitted_count:])
+                    fitted[name] = replace(joint, result=model.fit(seed=seed, progress=report))
+                except BadInput as error:
+                    fitted[name] = replace(joint, failure=str(error))
         if all(joint.result is None for joint in fitted.values()):
             failures = "; ".join(f"{name}: {joint.failure}" for name, joint in fitted.items())
-            raise BadInput(str(first_path), f"no joint is fitted ({failures})", "correct one")
-        joint_directions = {name: joint_priors[name].directions for name in fitted}
-        return FittedArm.combined(self.bodies, logs, fitted, prior, joint_directions, seed)
+            raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
+        return FittedArm.combined(bodies, logs, fitted, prior, seed)
 
-    def _layout(self, path: Path) -> Layout:
+    def _layout(self, path: Path) -> tuple[Mapping[str, Any], Mapping[str, str]]:
         """Take the columns from the options, or recognise them in a log."""
         recording = self.options.recording
         if "position" in recording:
-            return Layout(recording, {})
-        recognised = layout_of(path, self.bodies.joints, recording.get("table"))
-        layout = Layout({**recognised.recording, **recording}, recognised.labels)
-        if OPEN in str(layout.recording):
-            problem = f"not all units are known: {toml_value(layout.recording)}"
+            return recording, {}
+        recognised, labels = layout_of(path, self.bodies.joints, recording.get("table"))
+        recording = {**recognised, **recording}
+        if OPEN in str(recording):
+            problem = f"not all units are known: {toml_value(recording)}"
             hint = "write them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
             raise BadInput(str(path), problem, hint)
-        return layout
+        return recording, labels
 
     def _joint_options(self, name: str) -> JointOptions:
         return self.options.joints.get(name, JointOptions())
 
-    def _joint_priors(
+    def _projected(
         self,
-        prior: InertialPrior,
+        parameters: Sequence[Array],
         logs: Sequence[ArmLog],
         efforts: Mapping[str, Measurement | BadInput],
-    ) -> dict[str, _JointPrior]:
-        """Project the inertial prior on the torque of each joint, in each log."""
+        *,
+        compared: int = 2000,
+    ) -> dict[str, tuple[Array, list[Array]]]:
+        """Project the inertial prior on the torque of each joint.
+
+        ``parameters`` are the prior's columns in each log; ``compared`` samples in all give the
+        directions. Returns by joint directions
+        ``(n_deviations, k)``, and the torques ``(1 + k, n)`` in each log: nominal, and one sd along
+        each direction.
+        """
         bodies, order = self.bodies, list(self.bodies.joints)
-        parameters = [prior.columns(loaded=log.loaded) for log in logs]
         counts = [log.motion.shape[2] for log in logs]
+        sizes = [max(compared * n // sum(counts), 1) for n in counts]
         samples = [
-            np.unique(
-                np.linspace(0, n - 1, max(_DIRECTION_SAMPLES * n // sum(counts), 1)).astype(int)
-            )
-            for n in counts
+            np.unique(np.linspace(0, n - 1, size).astype(int))
+            for n, size in zip(counts, sizes, strict=True)
         ]
         torques = [
             bodies.torques(log.motion[:, :, at], np.repeat(columns[None], len(order), axis=0))
@@ -204,47 +214,27 @@ class Arm:
             for log, columns in zip(logs, parameters, strict=True)
         ]
         return {
-            name: _JointPrior(x, [torque[j, : 1 + x.shape[1]] for torque in projected])
+            name: (x, [torque[j, : 1 + x.shape[1]] for torque in projected])
             for j, (name, x) in enumerate(zip(order, joint_directions, strict=True))
         }
 
-    def _fit_joint(
-        self,
-        joint: UrdfJoint,
-        effort: Measurement | BadInput,
-        logs: Sequence[ArmLog],
-        prior: _JointPrior,
-        held_out: Sequence[str],
-        seed: int | None,
-        progress: ProgressCallback,
-    ) -> FittedJoint:
-        fitted = FittedJoint(joint, self._joint_options(joint.name).gear_ratio)
-        if isinstance(effort, BadInput):
-            return replace(fitted, failure=str(effort))
-        urdf, *deviations = prior.torques[0]
-        sizes = {
-            "torque_rms": float(np.sqrt(np.mean(urdf**2))),
-            "doubt_rms": float(np.sqrt(sum(np.mean(x**2) for x in deviations))),
-        }
-        fitted = replace(fitted, remarks=tuple(remarks(joint, effort, urdf)), urdf=sizes)
-        try:
-            result = self._model(joint, logs, prior, held_out).fit(seed=seed, progress=progress)
-        except BadInput as error:
-            return replace(fitted, failure=str(error))
-        return replace(fitted, result=result)
-
     def _model(
-        self, joint: UrdfJoint, logs: Sequence[ArmLog], prior: _JointPrior, held_out: Sequence[str]
+        self,
+        fitted: FittedJoint,
+        logs: Sequence[ArmLog],
+        torques: Sequence[Array],
+        held_out: Sequence[str],
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque."""
-        joint_options, options = self._joint_options(joint.name), self.options
-        recordings = [log.recording(joint, t) for log, t in zip(logs, prior.torques, strict=True)]
-        columns = signals(prior.directions.shape[1])
+        joint, options = fitted.joint, self.options
+        joint_options = self._joint_options(joint.name)
+        recordings = [log.recording(joint, t) for log, t in zip(logs, torques, strict=True)]
+        columns = signals(fitted.directions.shape[1])
         normal = {"distribution": "norm", "loc": 0.0, "scale": 1.0}
         priors: dict[str, Any] = {f"load.{column}": normal for column in columns}
         if joint_options.rotor_inertia and joint_options.gear_ratio:
             inertia = joint_options.rotor_inertia * joint_options.gear_ratio**2
-            priors["motor.inertia"] = {**normal, "loc": inertia, "scale": _ROTOR_SD * inertia}
+            priors["motor.inertia"] = {**normal, "loc": inertia, "scale": 0.2 * inertia}
         document = {
             "mechanism": {
                 "terms": options.terms,
@@ -259,7 +249,8 @@ class Arm:
             **({"validation": {"recordings": [*held_out]}} if held_out else {}),
             **options.fit,
         }
-        document["sampling"] = {"min_ess": _MIN_ESS, **options.fit.get("sampling", {})}
+        # ends of a 90 % interval are then right to a tenth of an sd; six joints take a minute
+        document["sampling"] = {"min_ess": 400, **options.fit.get("sampling", {})}
         path = Path(joint.name)
         config = parse_config(document_text(document, path), path)
         return Model.from_config(config, recordings=recordings)
@@ -271,22 +262,19 @@ def remarks(joint: UrdfJoint, recording: Measurement, urdf: Array) -> Iterator[s
     The effort is regressed on the rigid-body torque ``urdf`` ``(n,)``, Coulomb and viscous
     friction: where that torque is most of the effort, its factor is about 1.
     """
-    travel = float(np.ptp(recording.position))
-    if travel > 1.5 * joint.range:
-        limits = f"its limits in the URDF over {joint.range:.3g}"
+    travel, limit = float(np.ptp(recording.position)), joint.high - joint.low
+    if travel > 1.5 * limit:
+        limits = f"its limits in the URDF over {limit:.3g}"
         yield f"its positions range over {travel:.3g}, {limits}: is their unit right?"
     speed = np.gradient(recording.position, recording.time)
     columns = np.stack([urdf, np.sign(speed), speed, np.ones_like(urdf)], axis=1)
     factor = float(np.linalg.lstsq(columns, recording.torque, rcond=None)[0][0])
     share = abs(factor) * float(np.std(urdf)) / float(np.std(recording.torque))
-    if share > _RIGID_SHARE and not 0.5 < factor < 2.0:
+    if share > 0.5 and not 0.5 < factor < 2.0:
         cause = "the opposite sign" if -2.0 < factor < -0.5 else "another unit or drive gain"
         yield f"its effort is {factor:.2g} times the rigid-body torque of the URDF: has it {cause}?"
 
 
-@dataclass(frozen=True, eq=False)
-class _JointPrior:
-    """The inertial prior as one joint's torque depends on it."""
-
-    directions: Array  # (n_deviations, k)
-    torques: Sequence[Array]  # (1 + k, n) of each log: nominal, and one sd along each direction
+def _rms(torques: Sequence[Array]) -> float:
+    """Root mean square of a sum of independent torques."""
+    return float(np.sqrt(sum(np.mean(x**2) for x in torques)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -31,16 +31,10 @@ from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
 
-URDF_TORQUE = "urdf_torque"
-_NO_TORQUE, _STAMPS = "in place of a torque", "time"
+_URDF_TORQUE, _STAMPS = "urdf_torque", "time"
 Joints = Mapping[str, UrdfJoint]
-
-
-class Layout(NamedTuple):
-    """Columns of a log with ``{joint}`` for a joint's label, and the label of each joint."""
-
-    recording: Mapping[str, Any]
-    labels: Mapping[str, str]
+# Columns of a log with {joint} for a joint's label, and the label of each joint.
+Layout = tuple[Mapping[str, Any], Mapping[str, str]]
 
 
 def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool = False) -> Layout:
@@ -48,10 +42,15 @@ def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool =
 
     With ``in_order`` as many joints of other names are matched in the URDF's order.
     """
+
+    def joint_in(name: str) -> str:
+        """Return the part of a column's name that identifies its joint."""
+        return named(f"{name} position").joint or name
+
     opened = read_table(path, TableOptions.model_validate({"table": table}))
     log = recognise(opened)
-    label_of = {_joint_in(label): label for label in log.joints or [log.joint]}
-    labels = {name: label_of[_joint_in(name)] for name in joints if _joint_in(name) in label_of}
+    label_of = {joint_in(label): label for label in log.joints or [log.joint]}
+    labels = {name: label_of[joint_in(name)] for name in joints if joint_in(name) in label_of}
     if not labels and in_order and len(label_of) == len(joints):
         labels = dict(zip(joints, label_of.values(), strict=True))
     if not labels:
@@ -59,7 +58,7 @@ def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool =
         problem = f"joints of the log ({in_log}) are not those of the URDF ({', '.join(joints)})"
         hint = "match them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
         raise BadInput(str(path), problem, hint)
-    patterns, tokens = list[dict[str, dict[str, str]]](), dict[str, str]()
+    first, tokens = dict[str, dict[str, str]](), dict[str, str]()
     for name, label in labels.items():
         chosen = recognise(opened, label).chosen
         chosen.pop("temperature", None)
@@ -72,17 +71,12 @@ def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool =
             pattern[key]["column"] = pattern[key]["column"].replace(token, "{joint}")
         if "current" in pattern:
             pattern["current"]["torque_constant"] = "{torque_constant}"
-        patterns.append(pattern)
-        if not token or pattern != patterns[0]:
+        first = first or pattern
+        if not token or pattern != first:
             problem = f"columns of joint {name!r} ({', '.join(columns)}) do not match other joints'"
             raise BadInput(str(path), problem, "write [recording] in arm.toml, with {joint}")
     selection = {"table": table, "where": log.where or None}
-    return Layout({**patterns[0], **{k: v for k, v in selection.items() if v}}, tokens)
-
-
-def _joint_in(name: str) -> str:
-    """Return the part of a column's name that identifies its joint."""
-    return named(f"{name} position").joint or name
+    return {**first, **{k: v for k, v in selection.items() if v}}, tokens
 
 
 class ArmLog:
@@ -103,9 +97,9 @@ class ArmLog:
         joints: Joints,
         max_samples: int,
     ) -> None:
-        processing, loaded_logs = options.processing, options.payload.logs
-        self.path, self.name, self._processing = path, name, processing
-        self.loaded = loaded_logs is None or name in loaded_logs
+        self.path, self.name, self._processing = path, name, options.processing
+        self.loaded = options.payload.logs is None or name in options.payload.logs
+        recording, labels = layout
         self.sources: dict[str, Source] = {}
         motions: list[Measurement | float] = []
         for number, (joint_name, joint) in enumerate(joints.items(), start=1):
@@ -114,28 +108,29 @@ class ArmLog:
                 motions.append(joint_options.held)
                 continue
             placeholders = {
-                "joint": joint_options.label or layout.labels.get(joint_name, joint_name),
+                "joint": joint_options.label or labels.get(joint_name, joint_name),
                 "number": str(number),
                 "index": str(number - 1),
                 "torque_constant": joint_options.torque_constant,
             }
-            document = {**layout.recording, "file": str(path), "name": name}
+            document = {**recording, "file": str(path), "name": name}
             source = _source(document, joint_name, placeholders)
-            first, self.sources[joint_name] = not self.sources, source
-            if first:
+            if not self.sources:
                 self.table = read_table(path, source)
-                self._limit_rows(max_samples, source, self._position(joint).size)
+                self._limit_rows(max_samples, source, self._position(source, joint).size)
+            self.sources[joint_name] = source
             motions.append(self._joint_motion(joint))
         moving = [motion for motion in motions if isinstance(motion, Measurement)]
         if not moving:
             raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
         self.time, fs = moving[0].time, 1.0 / moving[0].period
-        cutoff = lowpass_above(fs, fs) if processing.lowpass is None else processing.lowpass
-        reach = reach_of(processing.differentiation, cutoff, fs)
+        lowpass, order = options.processing.lowpass, options.processing.order
+        cutoff = lowpass_above(fs, fs) if lowpass is None else lowpass
+        reach = reach_of(options.processing.differentiation, cutoff, fs)
         self.motion = np.zeros((3, len(motions), self.time.size))
         for k, motion in enumerate(motions):
             if isinstance(motion, Measurement):
-                q, qd = filtered_motion(motion, cutoff, processing.order, reach)
+                q, qd = filtered_motion(motion, cutoff, order, reach)
                 qdd = derivative(qd, motion.segments, motion.period, reach)
                 self.motion[:, k] = q, qd, qdd
             else:
@@ -150,11 +145,6 @@ class ArmLog:
         """Read a joint with its effort."""
         return self._read(self._columns(self.sources[joint.name], {}), joint)
 
-    def effort(self, joint: UrdfJoint) -> Array:
-        """Interpolate a joint's effort at the times of :attr:`motion`, ``(n,)`` N m or N."""
-        recording = self.measured(joint)
-        return np.interp(self.time, recording.time, recording.torque)
-
     def recording(self, joint: UrdfJoint, torques: Array) -> Recording:
         """Add rigid-body torque and its deviations ``(1 + k, n)`` to a joint's columns.
 
@@ -164,7 +154,7 @@ class ArmLog:
         time = self._stamps
         if source.time is not None:  # a joint may have stamps of its own
             time = recorded_time(source, self.table, time.size)
-        names = [URDF_TORQUE, *signals(len(torques) - 1)]
+        names = [_URDF_TORQUE, *signals(len(torques) - 1)]
         pairs = zip(names, torques, strict=True)
         return self._columns(source, {n: np.interp(time, self.time, x) for n, x in pairs})
 
@@ -180,8 +170,8 @@ class ArmLog:
             rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
             self.table, self._stamps = self.table.at(rows, count), self._stamps[rows]
 
-    def _position(self, joint: UrdfJoint) -> Array:
-        source, drive = self.sources[joint.name], Drive(1.0, joint.motion, joint.motion)
+    def _position(self, source: Source, joint: UrdfJoint) -> Array:
+        drive = Drive(1.0, joint.motion, joint.motion)
         try:
             return joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
@@ -190,13 +180,14 @@ class ArmLog:
 
     def _joint_motion(self, joint: UrdfJoint) -> Measurement | float:
         """Read the motion of a joint, or its constant position."""
-        source, position = self.sources[joint.name], self._position(joint)
+        source, column = self.sources[joint.name], "in place of a torque"
+        position = self._position(source, joint)
         if np.ptp(position) == 0.0:
             return float(position[0])
         # the motion does not depend on the drive, which may be missing
         no_drive = dict.fromkeys(("current", "voltage", "target"))
-        motion_only = {**no_drive, "torque": Torque(column=_NO_TORQUE, unit=SI)}
-        columns = self._columns(source.model_copy(update=motion_only), {_NO_TORQUE: position})
+        motion_only = {**no_drive, "torque": Torque(column=column, unit=SI)}
+        columns = self._columns(source.model_copy(update=motion_only), {column: position})
         return self._read(columns, joint)
 
     def _read(self, recording: Recording, joint: UrdfJoint) -> Measurement:
@@ -215,9 +206,9 @@ class ArmLog:
             channel |= {k: _name(channel[k]) for k in ("column", "times") if k in channel}
         if "valid" in keys:
             keys["valid"] = _name(keys["valid"])
-        if URDF_TORQUE in computed:
-            keys["load_torque"] = {"column": URDF_TORQUE, "unit": SI, "sign": -1}
-            deviations = (name for name in computed if name != URDF_TORQUE)
+        if _URDF_TORQUE in computed:
+            keys["load_torque"] = {"column": _URDF_TORQUE, "unit": SI, "sign": -1}
+            deviations = (name for name in computed if name != _URDF_TORQUE)
             keys["others"] = [*map(_name, source.others), *deviations]
         if source.time is None:
             cells[_STAMPS], keys["rate"] = self._stamps, None

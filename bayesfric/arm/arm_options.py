@@ -1,4 +1,4 @@
-"""``arm.toml``: what is specified of an arm in addition to its URDF; the numbers of a joint."""
+"""``arm.toml``: options of an arm in addition to its URDF; the numbers of a joint."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ NUMBERS: Mapping[str, JointNumber] = {
 
 
 class Payload(Options):
-    """The ``[payload]`` table: what is bolted to a link and not in the URDF."""
+    """The ``[payload]`` table: a mass on a link that is not in the URDF."""
 
     link: str | None = Field(
         None, description="Link that carries it; the last of the longest chain if left out."
@@ -86,7 +86,7 @@ class JointOptions(Options):
         "{torque_constant} in [recording].",
     )
     gear_ratio: Positive | None = Field(
-        None, description="Motor speed over joint speed; then the rotor's inertia is told, too."
+        None, description="Motor speed over joint speed; then the rotor's inertia is reported, too."
     )
     rotor_inertia: Positive | None = Field(
         None, description="Known inertia of the rotor in kg m², within a fifth; with gear_ratio."
@@ -100,7 +100,7 @@ class ArmOptions(Options):
     """Everything that ``arm.toml`` may hold."""
 
     gravity: Vector = Field((0.0, 0.0, -9.80665), description="In the frame of the root, m/s².")
-    payload: Payload = Field(Payload(), description="What is bolted to the arm.")
+    payload: Payload = Field(Payload(), description="A mass that is not in the URDF.")
     urdf: Uncertainty = Field(Uncertainty(), description="How well the URDF is known.")
     recording: dict[str, Any] = Field(
         default_factory=dict,
@@ -109,11 +109,11 @@ class ArmOptions(Options):
     )
     friction: ElementOptions = Field(
         ElementOptions(),
-        description="What joints have besides, or instead, as an element of a mechanism.",
+        description="Further or other friction of all joints, as an element of a mechanism.",
     )
     terms: Literal["auto", "as written"] = Field(
         "as written",
-        description="auto puts in what else explains a joint's torque; minutes more a joint.",
+        description="auto adds terms that explain a joint's torque; minutes more a joint.",
     )
     processing: Processing = Field(
         Processing(), description="As [processing] of a configuration, for all joints."
@@ -121,8 +121,8 @@ class ArmOptions(Options):
     samples: int = Field(
         50_000,
         ge=1_000,
-        description="Samples of all logs that are fitted at most: of longer ones spread_ranges all "
-        "over them. Time and memory grow with it.",
+        description="Samples of all logs that are fitted at most: longer ones are reduced to "
+        "segments all over them. Time and memory grow with it.",
     )
     fit: dict[str, Any] = Field(
         default_factory=dict,

@@ -13,14 +13,13 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput
@@ -31,9 +30,6 @@ from bayesfric.report.words import listed
 # Longest step, s: a swing of a radian is then wrong by 0.6 mrad after a second. It is shorter where
 # a joint reverses, as friction jumps there.
 _STEP, _REVERSAL_STEP = 5e-3, 1e-3
-# Tolerance of the speeds at the end of a step, and sweeps of coordinate descent at most.
-_TOLERANCE, _SWEEPS = 1e-10, 200
-_BAND = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,41 +38,37 @@ class ArmRollOut:
 
     log: str  # whose efforts drive the arm
     seconds: float  # between restarts
-    joints: tuple[str, ...]  # others move as measured
-    units: tuple[str, ...]
+    units: Mapping[str, str]  # by driven joint; others move as measured
     time: Array  # (n,) s
     restarts: Flags  # (n,) where the arm is set to the measured state
     measured: Array
-    low: Array  # ends and median of the 90 % bands
-    middle: Array
-    high: Array
+    bands: Array  # (3, n_joints, n): lower end, median and upper end of the 90 % bands
 
     @property
     def rms(self) -> dict[str, float]:
         """Root mean square error of the median, by joint."""
-        error = np.sqrt(np.mean((self.middle - self.measured) ** 2, axis=1))
-        return dict(zip(self.joints, error.tolist(), strict=True))
+        error = np.sqrt(np.mean((self.bands[1] - self.measured) ** 2, axis=1))
+        return dict(zip(self.units, error.tolist(), strict=True))
 
     @property
     def coverage(self) -> dict[str, float]:
         """Share of samples inside the 90 % bands, by joint, restarts excluded."""
-        inside = (self.low <= self.measured) & (self.measured <= self.high)
+        inside = (self.bands[0] <= self.measured) & (self.measured <= self.bands[2])
         share = inside[:, ~self.restarts].mean(axis=1).tolist()
-        return dict(zip(self.joints, share, strict=True))
+        return dict(zip(self.units, share, strict=True))
 
     def text(self) -> str:
         """Summarise error and coverage of each joint."""
         rms, coverage = self.rms, self.coverage
         parts = [
             f"{name} {rms[name]:.2g} {unit} off, bands hold {coverage[name]:.0%}"
-            for name, unit in zip(self.joints, self.units, strict=True)
+            for name, unit in self.units.items()
         ]
         return f"roll-out of {self.log}, restarted every {self.seconds:g} s: {listed(parts)}"
 
     def as_json(self) -> dict[str, Any]:
         """Give what :meth:`text` summarises."""
-        units = dict(zip(self.joints, self.units, strict=True))
-        numbers = {"rms": self.rms, "held": self.coverage, "units": units}
+        numbers = {"rms": self.rms, "held": self.coverage, "units": dict(self.units)}
         return {"log": self.log, "seconds": self.seconds, **numbers}
 
     def as_csv(self) -> str:
@@ -84,9 +76,12 @@ class ArmRollOut:
         import pandas as pd
 
         columns = {"time [s]": self.time, "begins": self.restarts}
-        for j, name in enumerate(self.joints):
-            for word in ("measured", "low", "middle", "high"):
-                columns[f"{word}[{name}]"] = getattr(self, word)[j]
+        for j, name in enumerate(self.units):
+            columns[f"measured[{name}]"] = self.measured[j]
+            columns |= {
+                f"{word}[{name}]": band[j]
+                for word, band in zip(("low", "middle", "high"), self.bands, strict=True)
+            }
         return str(pd.DataFrame(columns).to_csv(index=False, float_format="%.9g"))
 
 
@@ -103,19 +98,26 @@ def rollout(
     It is set to the measured state every ``seconds``. Each draw of inertial parameters and friction
     has the residual torque of the first log from a random time on, the same time for all joints.
     """
-    rng, bodies = np.random.default_rng(seed), arm.bodies
+    rng, bodies, fitted = np.random.default_rng(seed), arm.bodies, arm.fitted
     first, log = arm.logs[0], arm.logs[-1]
     step = float(np.median(np.diff(log.time)))
     if not step < seconds < np.inf:
         problem = f"is {seconds:g}, a sample is {step:.3g} s"
         raise BadInput("seconds of a roll-out", problem, "increase it")
-    fitted = {name: joint for name, joint in arm.joints.items() if joint.result is not None}
     driven = np.array([list(bodies.joints).index(name) for name in fitted])
     z, values = arm.draw(draws, rng)
     friction = [_friction(joint, values[name]) for name, joint in fitted.items()]
-    inertial = _inertial_parameters(arm, log, z)
-    residuals = _residuals(arm, first, fitted, driven, z, friction)
-    efforts = np.stack([log.effort(bodies.joints[name]) for name in fitted])
+    columns = arm.prior.columns(loaded=log.loaded)
+    inertial = columns[:, 0] + z @ columns[:, 1:].T
+    # residual efforts of the first log
+    columns = arm.prior.columns(loaded=first.loaded)
+    mean = np.repeat((columns @ np.r_[1.0, z.mean(axis=0)])[None, :, None], len(bodies.joints), 0)
+    rigid = bodies.torques(first.motion, mean)[:, 0]
+    residuals = [
+        _residual(joint, first.time, rigid[j], numbers)
+        for joint, j, numbers in zip(fitted.values(), driven, friction, strict=True)
+    ]
+    measured = [log.measured(bodies.joints[name]) for name in fitted]
     restarts = np.append(True, np.diff(log.time) > 1.5 * step)
     since = log.time - np.maximum.accumulate(np.where(restarts, log.time, -np.inf))
     restarts |= np.append(False, np.diff(np.floor(since / seconds + 1e-6)) > 0)
@@ -128,28 +130,14 @@ def rollout(
         draw = {key: np.stack([x[key][k] for x in friction], axis=-1) for key in NUMBERS}
         # the time within a sample at which the effort was measured, or jumps, is unknown
         sampled = log.time + step * rng.uniform(-0.5, 0.5)
-        torque = [np.interp(sampled, log.time, x) for x in efforts] - np.array(residual)
+        effort = [np.interp(sampled, x.time, x.torque) for x in measured] - np.array(residual)
         dynamics = bodies.dynamics(inertial[k])
-        simulated[k] = simulate_arm(dynamics, draw, log.time, log.motion, torque, driven, restarts)
-    low, middle, high = np.quantile(simulated, _BAND, axis=0)
-    return ArmRollOut(
-        log.name,
-        seconds,
-        (*fitted,),
-        tuple("m" if bodies.joints[name].motion == "linear" else "rad" for name in fitted),
-        log.time,
-        restarts,
-        log.motion[0, driven],
-        low,
-        middle,
-        high,
-    )
-
-
-def _inertial_parameters(arm: FittedArm, log: ArmLog, z: Array) -> Array:
-    """Give inertial parameters ``(n, 10 n_links)`` in a log for ``z`` ``(n, n_deviations)``."""
-    columns = arm.prior.columns(loaded=log.loaded)
-    return np.asarray(columns[:, 0] + z @ columns[:, 1:].T)
+        simulated[k] = simulate_arm(dynamics, draw, log.time, log.motion, effort, driven, restarts)
+    units = {
+        name: "m" if joint.joint.motion == "linear" else "rad" for name, joint in fitted.items()
+    }
+    bands = np.quantile(simulated, (0.05, 0.5, 0.95), axis=0)
+    return ArmRollOut(log.name, seconds, units, log.time, restarts, log.motion[0, driven], bands)
 
 
 def _friction(joint: FittedJoint, values: Array) -> dict[str, Array]:
@@ -158,8 +146,7 @@ def _friction(joint: FittedJoint, values: Array) -> dict[str, Array]:
     Of load-dependent friction the first is where the motor drives. ``values`` are
     ``(n, n_parameters)``.
     """
-    assert joint.result is not None
-    names = joint.result.fit.chain.names
+    names = joint.fitted.fit.chain.names
     known = {name for number in NUMBERS.values() for name in number.parameters}
     if unknown := [n for n in names if n not in known and not n.startswith("load.urdf_")]:
         problem = f"has {listed(unknown)}, which roll-outs of an arm do not support"
@@ -172,30 +159,22 @@ def _friction(joint: FittedJoint, values: Array) -> dict[str, Array]:
     return numbers
 
 
-def _residuals(
-    arm: FittedArm,
-    log: ArmLog,
-    fitted: Mapping[str, FittedJoint],
-    driven: Index,
-    z: Array,
-    friction: Sequence[Mapping[str, Array]],
-) -> list[tuple[Array, Array]]:
-    """Give times and residual efforts of each joint while it moves."""
-    mean = _inertial_parameters(arm, log, z.mean(axis=0, keepdims=True)).T
-    rigid = arm.bodies.torques(log.motion, np.repeat(mean[None], len(arm.bodies.joints), axis=0))
-    residuals = []
-    for joint, j, numbers in zip(fitted.values(), driven, friction, strict=True):
-        assert joint.result is not None
-        o = joint.result.model.observations[0]
-        load = np.interp(o.stamps, log.time, rigid[j, 0])
-        c = {key: x.mean(axis=0) for key, x in numbers.items()}
-        backwards, back_driven = (o.qd < 0.0).astype(int), (load * o.qd < 0.0).astype(int)
-        torque = load + c["armature"][0] * o.qdd + c["offset"][0] + c["viscous"][backwards] * o.qd
-        constant = c["coulomb"][backwards] + c["load"][back_driven] * np.abs(load)
-        torque += constant * np.sign(o.qd)
-        moves = np.abs(o.qd) > float(o.settings["dead_zone"])
-        residuals.append((o.stamps[moves], (o.compared - torque)[moves]))
-    return residuals
+def _residual(
+    joint: FittedJoint, time: Array, rigid: Array, numbers: Mapping[str, Array]
+) -> tuple[Array, Array]:
+    """Give times and residual efforts of a joint while it moves.
+
+    ``rigid`` ``(n,)`` is the rigid-body torque at ``time``, ``numbers`` are of :func:`_friction`.
+    """
+    o = joint.fitted.model.observations[0]
+    load = np.interp(o.stamps, time, rigid)
+    c = {key: x.mean(axis=0) for key, x in numbers.items()}
+    backwards, back_driven = (o.qd < 0.0).astype(int), (load * o.qd < 0.0).astype(int)
+    torque = load + c["armature"][0] * o.qdd + c["offset"][0] + c["viscous"][backwards] * o.qd
+    constant = c["coulomb"][backwards] + c["load"][back_driven] * np.abs(load)
+    torque += constant * np.sign(o.qd)
+    moves = np.abs(o.qd) > float(o.settings["dead_zone"])
+    return o.stamps[moves], (o.compared - torque)[moves]
 
 
 def simulate_arm(
@@ -250,12 +229,12 @@ def simulate_arm(
 
 
 @njit(cache=True)
-def _with_friction(mass, free, loss, v):  # type: ignore[no-untyped-def]
+def _with_friction(mass, free, loss, v, tolerance=1e-10):  # type: ignore[no-untyped-def]
     """Find the speed ``(n,)`` that impulses of at most ``loss`` ``(2, n)`` leave, from ``v`` on.
 
     By coordinate descent, which for this convex function ends at its minimum.
     """
-    for _ in range(_SWEEPS):
+    for _ in range(200):
         changed = 0.0
         for i in range(v.size):
             push = mass[i, i] * v[i]
@@ -264,6 +243,6 @@ def _with_friction(mass, free, loss, v):  # type: ignore[no-untyped-def]
             new = (max(push - loss[0, i], 0.0) + min(push + loss[1, i], 0.0)) / mass[i, i]
             changed = max(changed, abs(new - v[i]))
             v[i] = new
-        if changed < _TOLERANCE:
+        if changed < tolerance:
             break
     return v

@@ -12,24 +12,22 @@ References
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 
 from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
+from bayesfric.base.templates import environment
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
@@ -37,20 +35,19 @@ from bayesfric.recordings.arrays import Array
 # Numbers of a joint, and those that can be wanted.
 _KEYS = tuple(NUMBERS)
 TERMS = tuple(key for key, number in NUMBERS.items() if number.title)
-# Samples a second of the arrays, and points a second that a controller interpolates; of these the
-# fastest wave has at least so many that a spline is that wave.
-_RATE, _POINT_RATE, _POINTS_PER_WAVE = 100, 20, 10
+_HARMONICS = 5  # of the series
+# Samples a second of the arrays, and points a second that a controller interpolates.
+_RATE, _POINT_RATE = 100, 20
 # Samples of the fastest wave by which motions are compared, to a percent of their sds, and by which
 # their peaks are found.
 _COMPARED, _PEAKS = 16, 40
-# Sd of a prior, relative to the value.
-_WIDE = 10.0
-# Samples of largest effort by which a motion is scaled down, by so many bisections.
-_LARGEST, _BISECTIONS = 8, 6
-# Motions evaluated, one in how many at random, and how many of the best are improved. From one
-# start on a UR10, at 2500 motions, Powell's method came farthest, BFGS nearly as far, COBYQA too in
-# twice the CPU time; L-BFGS-B, COBYLA, random steps and Nelder-Mead came less far.
-_TRIES, _RANDOM, _IMPROVED = 4800, 10, 3
+# Motions that are evaluated, a tenth of them at random. From one start on a UR10, at 2500 motions,
+# Powell's method came farthest, BFGS nearly as far, COBYQA too in twice the CPU time; L-BFGS-B,
+# COBYLA, random steps and Nelder-Mead came less far.
+_TRIES = 4800
+# A motion and what it takes: (3, n_joints, n) position, speed and acceleration; (n_joints, n)
+# expected effort; (n_joints, n_deviations + 5, n) its derivatives by all unknowns of a joint.
+_Effort = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -102,31 +99,26 @@ class ExcitingTrajectory:
 
     def as_csv(self) -> str:
         """Write it as a log: time, then position, velocity, acceleration and effort by joint."""
-        names, columns = ["time [s]"], [self.time]
+        import pandas as pd
+
+        columns = {"time [s]": self.time}
         for j, (name, unit) in enumerate(zip(self.joints, self.units, strict=True)):
-            names += [f"position[{name}] [{unit}]", f"velocity[{name}] [{unit}/s]"]
-            names += [f"acceleration[{name}] [{unit}/s^2]"]
-            names += [f"effort[{name}] [{'N' if unit == 'm' else 'N m'}]"]
-            columns += [*self.motion[:, j], self.torque[j]]
-        out = io.StringIO()
-        csv.writer(out, lineterminator="\n").writerows([names, *np.stack(columns, 1).tolist()])
-        return out.getvalue()
+            columns[f"position[{name}] [{unit}]"] = self.motion[0, j]
+            columns[f"velocity[{name}] [{unit}/s]"] = self.motion[1, j]
+            columns[f"acceleration[{name}] [{unit}/s^2]"] = self.motion[2, j]
+            columns[f"effort[{name}] [{'N' if unit == 'm' else 'N m'}]"] = self.torque[j]
+        return str(pd.DataFrame(columns).to_csv(index=False))
 
     def as_joint_trajectory(self) -> str:
         """Write it as YAML of a ``trajectory_msgs/msg/JointTrajectory``, 20 points a second.
 
         The arm has to be moved to the first point before.
         """
-        lines = [f"joint_names: {json.dumps(self.joints)}", "points:"]
         step = _RATE // _POINT_RATE
-        for at, point in zip(self.time[::step], self.motion.T[::step], strict=True):
-            kinds = zip(("positions", "velocities", "accelerations"), point.T, strict=True)
-            # in fixed point, as YAML 1.1 reads 1e-05 as a text
-            rows = [f"{kind}: [{', '.join(f'{x:.9f}' for x in row)}]" for kind, row in kinds]
-            sec, nanosec = divmod(round(float(at) * 1e9), 10**9)
-            rows.append(f"time_from_start: {{sec: {sec}, nanosec: {nanosec}}}")
-            lines.append("- " + "\n  ".join(rows))
-        return "\n".join(lines) + "\n"
+        stamps = [divmod(round(t * 1e9), 10**9) for t in self.time[::step].tolist()]
+        points = zip(stamps, self.motion.T[::step].transpose(0, 2, 1), strict=True)
+        template = environment("bayesfric.arm").get_template("exciting.yaml.j2")
+        return f"{template.render(joints=self.joints, points=points)}\n"
 
 
 def limits_of(bodies: Bodies, *, visited: Array | None = None) -> Limits:
@@ -137,19 +129,13 @@ def limits_of(bodies: Bodies, *, visited: Array | None = None) -> Limits:
     in the range of its log, which is much safer, but joints meet in combinations that the log may
     not have. Look at the motion in a simulator first. Without, endless joints get ±π.
     """
-    rows, keys = [], ("lower", "upper", "velocity", "effort")
-    for name, joint in bodies.joints.items():
-        try:
-            row = [float(joint.limit.get(key, 0.0)) for key in keys]
-        except ValueError as error:
-            problem = f"a limit of {name!r} is no number ({error})"
-            raise BadInput(str(bodies.path), problem, f"write {', '.join(keys)}") from None
-        if joint.endless or row[0] >= row[1]:  # the latter means that there is no limit
-            end = math.pi if joint.endless and visited is None else math.inf
-            row[:2] = -end, end
-        rows.append(row)
+    joints = bodies.joints.values()
+    rows = [(joint.low, joint.high, joint.speed, joint.effort) for joint in joints]
     low, high, speed, torque = np.array(rows).T
-    if visited is not None:
+    if visited is None:
+        endless = [joint.endless for joint in joints]
+        low[endless], high[endless] = -math.pi, math.pi
+    else:
         low, high = np.maximum(low, visited[:, 0]), np.minimum(high, visited[:, 1])
     return Limits(low, high, speed, 2.0 * speed, torque)
 
@@ -173,65 +159,56 @@ def next_motion(
         nominal=prior.nominal + prior.spread @ z.mean(axis=0),
         spread=prior.spread @ np.linalg.cholesky(np.cov(z.T)),
     )
-    fitted = {name: joint for name, joint in arm.joints.items() if joint.result is not None}
     return exciting_trajectory(
         arm.bodies,
         present,
-        {name: joint.numbers for name, joint in fitted.items()},
-        {name: _noise_density(joint) for name, joint in fitted.items()},
+        {name: (_numbers(joint), _noise_density(joint)) for name, joint in arm.fitted.items()},
         limits_of(arm.bodies, visited=arm.visited),
         wanted=wanted,
-        known={name: _precision(joint) for name, joint in fitted.items()},
         seconds=seconds,
         seed=seed,
         progress=progress,
     )
 
 
+def _numbers(joint: FittedJoint) -> Array:
+    """Values and sds ``(2, 5)`` of a joint's numbers; 0 and infinite of those that it lacks."""
+    numbers = np.stack([np.zeros(len(_KEYS)), np.full(len(_KEYS), np.inf)])
+    for k, key in enumerate(_KEYS):
+        rows = [(x.value, x.reported.sd) for x in joint.number_rows(key)]
+        if rows:
+            numbers[:, k] = np.mean(rows, axis=0)
+    return numbers
+
+
 def _noise_density(joint: FittedJoint) -> float:
     """Density of the effort's residual at low frequency, (N m)² s or N² s."""
-    assert joint.result is not None
-    target, posterior = joint.result.fit.target, joint.result.fit.posterior
-    o, *_ = joint.result.model.observations
+    target, posterior = joint.fitted.fit.target, joint.fitted.fit.posterior
+    o, *_ = joint.fitted.model.observations
     torque, *_ = target.likelihood.predict(target.chain_values(posterior.median[None]))
     residual = o.measured - torque[0]
     variance = long_run_variance(residual - residual.mean(), places([o]))
     return float(variance / residual.size * o.period)
 
 
-def _precision(joint: FittedJoint) -> Array:
-    """Precision ``(5, 5)`` of a joint's friction, zero of numbers that it does not have."""
-    sd = np.full(len(NUMBERS), np.inf)
-    for k, key in enumerate(NUMBERS):
-        sds = [row.reported.sd for row in joint.number_rows(key)]
-        if sds:
-            sd[k] = np.mean(sds)
-    return np.diag(sd**-2.0)
-
-
 def exciting_trajectory(
     bodies: Bodies,
     prior: InertialPrior,
-    friction: Mapping[str, Mapping[str, float]],
-    noise: Mapping[str, float],
+    joints: Mapping[str, tuple[Array, float]],
     limits: Limits,
     *,
     wanted: Sequence[str] | None = None,
-    known: Mapping[str, Array] | None = None,
     seconds: float = 20.0,
-    harmonics: int = 5,
     seed: int | None = None,
-    tries: int | None = None,
     progress: ProgressCallback = no_progress,
 ) -> ExcitingTrajectory:
     """Find a motion of all joints that minimises the mean log sd of the wanted numbers.
 
-    ``friction`` holds the present estimates by joint, ``noise`` the density of the effort's
-    residual at low frequency, (N m)² s: of white noise its variance times the sampling period. A
-    joint without noise, or that is held, has no information. ``known`` is the precision ``(5, 5)``
-    of a joint's friction by the data; its prior has 10 times the value as sd, flat at zero.
+    ``joints`` holds the present values and sds ``(2, 5)`` of joints with information, and the
+    density of their effort's residual at low frequency, (N m)² s: of white noise its variance times
+    the sampling period.
     """
-    search = _Search(bodies, prior, friction, noise, limits, known or {}, seconds, harmonics)
+    search = _Search(bodies, prior, joints, limits, seconds)
     for name in wanted or ():
         if name not in search.numbers:
             problem = "a recording of this arm within these limits does not identify it"
@@ -244,46 +221,33 @@ def exciting_trajectory(
     def score_of(x: Array) -> float:
         return score(search.sds(search.largest(x, search.compared)))
 
-    tries = max(tries or _TRIES, _RANDOM * _IMPROVED)
     progress(Progress("motions at random"))
-    starts = np.random.default_rng(seed).normal(size=(tries // _RANDOM, search.size))
+    starts = np.random.default_rng(seed).normal(size=(_TRIES // 10, search.size))
     before, scores = search.sds(None), np.array([score_of(x) for x in starts])
     informative = scores < score(before)
-    impossible = BadInput(
-        "limits", "allow no motion the torque to identify the wanted numbers", "give wider ones"
-    )
-    if not informative.any():
-        raise impossible
     optima = []
-    for k in np.argsort(scores)[:_IMPROVED]:
+    for k in np.argsort(scores)[:3] if informative.any() else ():
         progress(Progress("better motions"))
-        budget = (tries - len(starts)) // _IMPROVED
-        options: Any = {"maxfev": budget, "xtol": 0.01, "ftol": 1e-3}
+        options: Any = {"maxfev": 3 * _TRIES // 10, "xtol": 0.01, "ftol": 1e-3}
         optima.append(minimize(score_of, starts[k], method="Powell", options=options))
-    best = min(optima, key=lambda optimum: float(optimum.fun)).x
     time = np.linspace(0.0, seconds, math.floor(seconds * _POINT_RATE) * (_RATE // _POINT_RATE) + 1)
-    motion = search.largest(best, search.basis(time))
+    motion = None
+    if optima:
+        best = min(optima, key=lambda optimum: float(optimum.fun)).x
+        motion = search.largest(best, search.basis(time))
     after = search.sds(motion)
     if motion is None or not np.isfinite(after[at]).all():
-        raise impossible
+        problem = "allow no motion the torque to identify the wanted numbers"
+        raise BadInput("limits", problem, "give wider ones")
     return ExcitingTrajectory(
         tuple(bodies.joints),
         tuple("m" if joint.motion == "linear" else "rad" for joint in bodies.joints.values()),
         time,
-        motion.motion,
-        motion.torque,
+        *motion[:2],
         {name: float(before[k]) for name, k in search.numbers.items()},
         {name: float(after[k]) for name, k in search.numbers.items()},
         math.exp(float(np.median(scores[informative])) - score(after)),
     )
-
-
-class _Effort(NamedTuple):
-    """A motion and the effort that it takes."""
-
-    motion: Array  # (3, n_joints, n)
-    torque: Array  # (n_joints, n) expected effort
-    columns: Array  # (n_joints, n_deviations + 5, n) its derivatives by all unknowns of a joint
 
 
 class _Search:
@@ -293,12 +257,9 @@ class _Search:
         self,
         bodies: Bodies,
         prior: InertialPrior,
-        friction: Mapping[str, Mapping[str, float]],
-        noise: Mapping[str, float],
+        joints: Mapping[str, tuple[Array, float]],
         limits: Limits,
-        known: Mapping[str, Array],
         seconds: float,
-        harmonics: int,
     ) -> None:
         order = list(bodies.joints)
         smallest = np.min((limits.speed, limits.acceleration, limits.torque), axis=0)
@@ -307,44 +268,42 @@ class _Search:
             if not usable:
                 problem = "are missing, or do not allow a motion"
                 raise BadInput(f"limits of {name!r}", problem, "give wider ones")
-        shortest = max(harmonics, 2) * _POINTS_PER_WAVE / _POINT_RATE
-        if harmonics < 2 or not shortest <= seconds < math.inf:
-            problem = f"is no time for {harmonics} harmonics from rest to rest"
-            raise BadInput(f"{seconds:g} s", problem, f"give at least two, and {shortest:g} s")
+        shortest = 0.5 * _HARMONICS  # the fastest wave then has ten of a controller's points
+        if not shortest <= seconds < math.inf:
+            problem = "is no time for a motion from rest to rest"
+            raise BadInput(f"{seconds:g} s", problem, f"give at least {shortest:g} s")
         self._moving = np.flatnonzero(limits.high > limits.low)
-        # joints with information, and their noise
-        self._joints = [(j, noise[order[j]]) for j in self._moving.tolist() if order[j] in noise]
-        if not self._joints:
+        # noise of the joints with information
+        self._noise = {j: joints[order[j]][1] for j in self._moving if order[j] in joints}
+        if not self._noise:
             problem = "do not allow a motion of any joint whose noise is known"
             raise BadInput("limits", problem, "give wider ones")
         self._bodies, self._limits, self._seconds = bodies, limits, seconds
         self._parameters = np.repeat(prior.columns(loaded=True)[None], len(order), axis=0)
-        self._values = np.array([[friction.get(n, {}).get(k, 0.0) for k in _KEYS] for n in order])
-        sd = _WIDE * np.abs(self._values)
-        precision = np.divide(1.0, sd**2, out=np.zeros_like(sd), where=sd > 0.0)
-        blocks = [np.diag(precision[j]) + known.get(order[j], 0.0) for j, _ in self._joints]
+        unknown = np.stack([np.zeros(len(_KEYS)), np.full(len(_KEYS), np.inf)])
+        numbers = np.array([joints.get(name, (unknown,))[0] for name in order])
+        self._values = numbers[:, 0]
         # of all unknowns: deviations of the inertial parameters, then each joint's numbers
-        self._deviations = prior.spread.shape[1]
-        self._prior = np.asarray(block_diag(np.eye(self._deviations), *blocks))
+        first = self._deviations = prior.spread.shape[1]
+        sds = [numbers[j, 1] for j in self._noise]
+        self._precision = np.diag(np.concatenate([np.ones(first), *sds]) ** -2.0)
         self.numbers = {
-            f"{order[j]}.{term}": self._deviations + k * len(_KEYS) + i
-            for k, (j, _) in enumerate(self._joints)
+            f"{order[j]}.{term}": first + k * len(_KEYS) + i
+            for k, j in enumerate(self._noise)
             for i, term in enumerate(TERMS)
         }
-        self._harmonics = np.arange(1, harmonics + 1)
         # zero speed at both ends constrains the cosines, zero acceleration the sines
-        ends = np.kron(np.eye(2), np.ones(harmonics)) * np.r_[np.ones(harmonics), self._harmonics]
-        self._free = np.asarray(null_space(ends))
-        self._per_joint = self._free.shape[1] + 1
-        self.size = self._moving.size * self._per_joint
+        ones, waves = np.ones(_HARMONICS), np.arange(1, _HARMONICS + 1)
+        self._free = np.asarray(null_space(block_diag(ones, waves)))
+        self.size = self._moving.size * (self._free.shape[1] + 1)
         self._peaks, self.compared = (
-            self.basis((np.arange(n * harmonics) + 0.5) * seconds / (n * harmonics))
-            for n in (_PEAKS, _COMPARED)
+            self.basis((np.arange(n) + 0.5) * seconds / n)
+            for n in (_PEAKS * _HARMONICS, _COMPARED * _HARMONICS)
         )
 
     def basis(self, time: Array) -> Array:
         """Give position, speed and acceleration of each free wave, ``(3, n_waves, n)``."""
-        w = 2.0 * np.pi / self._seconds * self._harmonics[:, None]
+        w = 2.0 * np.pi / self._seconds * np.arange(1, _HARMONICS + 1)[:, None]
         time = time % self._seconds
         sin, cos = np.sin(w * time), np.cos(w * time)
         series = np.array([[sin / w, -cos / w], [cos, sin], [-w * sin, w * cos]])
@@ -357,28 +316,29 @@ class _Search:
         centre, waves = self._scaled(x)
 
         def load(effort: _Effort) -> Array:
-            return np.asarray(np.max(np.abs(effort.torque) / self._limits.torque[:, None], axis=0))
+            return np.asarray(np.max(np.abs(effort[1]) / self._limits.torque[:, None], axis=0))
 
-        while waves.any():
+        while True:
             effort = self._effort(centre, waves, basis)
             loads = load(effort)
             if loads.max() <= 1.0:
                 return effort
-            largest, low, high = basis[:, :, np.argsort(loads)[-_LARGEST:]], 0.0, 1.0
-            for _ in range(_BISECTIONS):
-                share = (low + high) / 2.0
-                fits = load(self._effort(centre, share * waves, largest, 1)).max() <= 1.0
-                low, high = (share, high) if fits else (low, share)
-            waves = low * waves
-        return None
+            loaded = basis[:, :, np.argsort(loads)[-8:]]
+
+            def excess(share: float, waves: Array = waves, loaded: Array = loaded) -> float:
+                return float(load(self._effort(centre, share * waves, loaded, 1)).max()) - 1.0
+
+            if excess(0.0) >= 0.0:
+                return None
+            waves = 0.99 * brentq(excess, 0.0, 1.0, xtol=0.01) * waves
 
     def sds(self, recorded: _Effort | None) -> Array:
         """Give the sds of all unknowns with a recording added; infinite where nothing is known."""
-        information, count = self._prior.copy(), len(_KEYS)
-        for k, (j, noise) in enumerate(self._joints):
+        information, count = self._precision.copy(), len(_KEYS)
+        for k, (j, noise) in enumerate(self._noise.items()):
             if recorded is None:
                 break
-            x, first = recorded.columns[j], self._deviations + k * count
+            x, first = recorded[2][j], self._deviations + k * count
             at = np.r_[: self._deviations, first : first + count]
             information[np.ix_(at, at)] += x @ x.T * (self._seconds / x.shape[1] / noise)
         informed = np.diag(information) > 0.0
@@ -396,7 +356,7 @@ class _Search:
 
         The last of a joint's numbers places the centre in the range that its waves leave.
         """
-        at, limits, x = self._moving, self._limits, x.reshape(-1, self._per_joint)
+        at, limits, x = self._moving, self._limits, x.reshape(self._moving.size, -1)
         shape = x[:, :-1] @ self._peaks
         # bound of a wave between samples (Ehlich and Zeller 1964)
         rise = 1.0 / math.cos(math.pi / _PEAKS)
@@ -405,7 +365,7 @@ class _Search:
         speed, acceleration = rise * np.abs(shape[1:]).max(axis=2)
         fits = room / half, limits.speed[at] / speed, limits.acceleration[at] / acceleration
         size = np.min(fits, axis=0)
-        centre, waves = limits.low.copy(), np.zeros((limits.low.size, self._per_joint - 1))
+        centre, waves = limits.low.copy(), np.zeros((limits.low.size, x.shape[1] - 1))
         centre[at] += room + np.tanh(x[:, -1]) * (room - size * half) - size * (top + bottom) / 2.0
         waves[at] = size[:, None] * x[:, :-1]
         return centre, waves
@@ -423,4 +383,4 @@ class _Search:
         effort = urdf + np.einsum("jt,jtn->jn", self._values, friction)
         gain = 1.0 + self._values[:, _KEYS.index("load"), None] * np.sign(urdf) * sign
         columns = np.concatenate([gain[:, None] * torque[:, 1:], friction], axis=1)
-        return _Effort(motion, effort, columns)
+        return motion, effort, columns

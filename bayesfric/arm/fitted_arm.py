@@ -1,47 +1,49 @@
-"""A fitted arm: a run directory for each joint, and one table of them all."""
+"""A fitted arm: a run directory for each joint, and one table of them all.
+
+A joint's own numbers follow the inertial parameters of all joints by linear regression on the draws
+of its fit. A joint with model discrepancy contributes the likelihood of its widened draws, but its
+numbers stay: a discrepancy may have many causes and does not follow the inertial parameters.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayesfric.arm.arm_log import ArmLog
+from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS
-from bayesfric.arm.base_parameters import base_parameters
-from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint
+from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
 from bayesfric.arm.joint_consistency import (
     UNLIKELY,
+    InertialLikelihood,
     JointConsistency,
-    JointFit,
     combine_joints,
-    conditional_draws,
-    conditional_posterior,
-    updated_rows,
 )
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.model import Result
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.identifiability.local import WIDE
+from bayesfric.inference.posterior import Posterior, predict_held_out
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.numbers import TEXT, p_text
+from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.rendering import render
+from bayesfric.report.summary.derived_quantities import leaning, spread
 from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import PosteriorRow, Validation
 from bayesfric.report.terminal import printed_row
-from bayesfric.report.words import listed
+from bayesfric.report.words import filled
 
-# Columns of the table, and the parameters of each, of which a joint has one.
-COLUMNS = {number.title: number.parameters for number in NUMBERS.values() if number.title}
-# Draws kept of a joint whose pages are not made; lines of the table and its messages.
-_DRAWS, _LINES = 300, 28
-_DEVIATIONS = 3  # that a message lists
+COLUMNS = [number.title for number in NUMBERS.values() if number.title]  # of the table
+# Draws by which a joint's numbers follow the others.
+_DRAWS = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,7 @@ class FittedJoint:
 
     joint: UrdfJoint
     gear_ratio: float | None
+    directions: Array  # (n_deviations, k) of the inertial prior, the signals of its load
     result: Result | None = None
     failure: str = ""
     remarks: tuple[str, ...] = ()
@@ -62,21 +65,30 @@ class FittedJoint:
     agrees: bool = True
 
     @property
+    def fitted(self) -> Result:
+        """The result of a joint that is fitted."""
+        assert self.result is not None
+        return self.result
+
+    @property
+    def by_all(self) -> bool:
+        """Whether its numbers follow the inertial parameters by all joints."""
+        return self.agrees and self.fitted.fit.wide is self.fitted.fit
+
+    @property
     def folder(self) -> str:
         """Name of its run directory."""
         return re.sub(r"[^\w.-]|^[.]", "_", self.joint.name)
 
-    @property
-    def cells(self) -> dict[str, PosteriorRow | None]:
-        """The row of each column of the table."""
-        return {
-            column: next((self.rows[name] for name in names if name in self.rows), None)
-            for column, names in COLUMNS.items()
-        }
-
     def number_rows(self, key: str) -> list[PosteriorRow]:
         """List the rows of one of :data:`NUMBERS`: none, one, or one for each direction."""
         return [self.rows[name] for name in NUMBERS[key].parameters if name in self.rows]
+
+    @property
+    def cells(self) -> dict[str, PosteriorRow | None]:
+        """The row of each column of the table."""
+        keys = {number.title: key for key, number in NUMBERS.items()}
+        return {title: next(iter(self.number_rows(keys[title])), None) for title in COLUMNS}
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -84,24 +96,94 @@ class FittedJoint:
         rows = {key: self.number_rows(key) for key in NUMBERS}
         return {key: float(np.mean([row.value for row in x])) for key, x in rows.items() if x}
 
+    def coefficients(self, flat: Array) -> Array:
+        """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""
+        wide, columns = self.fitted.fit.wide.posterior, []
+        for name in (f"load.{signal}" for signal in signals(self.directions.shape[1])):
+            k, reported = wide.names.index(name), self.fitted.summary.parameters[name].reported
+            columns.append(flat[:, k] + reported.value - np.median(wide[name]))
+        return np.stack(columns, axis=1) if columns else np.zeros((len(flat), 0))
+
     @property
-    def messages(self) -> Iterator[str]:
-        """Messages below the table, a line each."""
-        if self.result is None:
-            yield f"not fitted: {self.failure}"
-        yield from self.remarks
-        if not self.agrees:
-            p = p_text(self.p_value)
-            yield f"excluded: contradicts the others about inertial parameters ({p})"
-        if self.result is not None:
-            summary = self.result.summary
-            for word, terms in (("added", summary.taken), ("found", summary.findings)):
-                if terms:
-                    yield f"{word} {listed([term.kind for term in terms])}"
-            for name, part in (self.validation.parts if self.validation else {}).items():
-                coverage = f"90 % bands hold {part.coverage['0.9'].share:.0%}"
-                rms = f"{part.residual_rms:.3g} {summary.fit.unit} rms"
-                yield f"predicts {name} to {rms}; {coverage}"
+    def likelihood(self) -> InertialLikelihood:
+        """What the fit says of the inertial parameters."""
+        draws = self.coefficients(self.fitted.fit.wide.posterior.flat())
+        return InertialLikelihood.from_draws(draws, self.directions)
+
+    @property
+    def separate_deviations(self) -> Array:
+        """Deviations ``(n_deviations,)`` of the inertial parameters by this fit alone."""
+        draws = self.coefficients(self.fitted.fit.posterior.flat())
+        return np.asarray(self.directions @ draws.mean(axis=0))
+
+    def draws(self, z: Array, rng: np.random.Generator) -> Array:
+        """Draw parameters ``(n, d)`` given deviations ``(n, n_deviations)``.
+
+        NaN where they would be outside their bounds.
+        """
+        target = self.fitted.fit.target
+        flat = self.fitted.fit.posterior.flat(_DRAWS)
+        v = target.unbounded(flat)
+        finite = np.isfinite(v).all(axis=1)
+        v, x = v[finite], self.coefficients(flat[finite])
+        slopes = np.linalg.lstsq(x - x.mean(axis=0), v - v.mean(axis=0), rcond=None)[0]
+        rows = rng.permutation(np.arange(len(z)) % len(v))
+        draws = target.from_unbounded(v[rows] + (z @ self.directions - x[rows]) @ slopes)
+        draws[~np.isfinite(draws).all(axis=1)] = np.nan
+        return np.asarray(draws)
+
+    def updated(self, consistency: JointConsistency, rng: np.random.Generator) -> FittedJoint:
+        """Update numbers and predictions by all joints."""
+        fit, model, name = self.fitted.fit, self.fitted.model, self.joint.name
+        joint = replace(
+            self,
+            rows=self.fitted.summary.parameters,
+            p_value=consistency.p_values[name],
+            agrees=name in consistency.agreed,
+        )
+        posterior, z = fit.posterior, consistency.draws
+        if joint.by_all:
+            draws = self.draws(z[rng.integers(len(z), size=_DRAWS)], rng)
+            draws = draws[np.isfinite(draws).all(axis=1)]
+            posterior = replace(
+                posterior,
+                draws=draws[None, None],
+                log_density=np.full((1, 1, len(draws)), np.nan),
+                diagnostics=replace(posterior.diagnostics, acceptance=np.ones((1, 1))),
+            )
+            joint = replace(joint, rows=self._updated_rows(posterior))
+        if not model.held_out:
+            return joint
+        held_out = predict_held_out(fit.target, posterior, model.held_out)
+        validation = validation_record(replace(fit, held_out=held_out))
+        return replace(joint, validation=validation)
+
+    def _updated_rows(self, posterior: Posterior) -> dict[str, PosteriorRow]:
+        """Change the reported numbers as the draws of the joint change."""
+        fit, before, after, rows = self.fitted.fit, self.fitted.fit.posterior, posterior.flat(), {}
+        priors = dict(zip(posterior.names, posterior.priors, strict=True))
+        bounds = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+        for name, row in self.fitted.summary.parameters.items():
+            if name not in bounds:
+                rows[name] = row
+                continue
+            k, reported = posterior.names.index(name), row.reported
+            was, now = spread(before[name].ravel()), spread(after[:, k])
+            # corrections of the joint's own fit stay
+            changes = np.subtract(now["interval"], was["interval"]).tolist()
+            low, high = (
+                max(end + change, bounds[name][0])
+                for end, change in zip(reported.interval, changes, strict=True)
+            )
+            value = min(max(reported.value + now["median"] - was["median"], low), high)
+            update = leaning(after[:, k], priors[name].limits, bounds[name])
+            sd = reported.sd * now["sd"] / was["sd"]
+            if row.verdict == "weak" and sd < WIDE * (row.prior_sd or math.inf):
+                update["verdict"] = "data"  # of all joints, and the URDF
+            updated = row.model_copy(update=update)
+            conclusion = updated.conclude(value, (low, high), sd)
+            rows[name] = updated.model_copy(update={"reported": conclusion})
+        return rows
 
     def as_json(self) -> dict[str, Any]:
         """Give its numbers."""
@@ -136,7 +218,6 @@ class FittedArm:
     logs: tuple[ArmLog, ...]
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
-    fits: Mapping[str, JointFit]
     consistency: JointConsistency
 
     @classmethod
@@ -146,40 +227,26 @@ class FittedArm:
         logs: Sequence[ArmLog],
         joints: Mapping[str, FittedJoint],
         prior: InertialPrior,
-        directions: Mapping[str, Array],
         seed: int | None,
     ) -> FittedArm:
-        """Combine the fits of joints by their ``directions``, and update their numbers."""
+        """Combine the fits of joints, and update their numbers."""
         rng, updated = np.random.default_rng(seed), dict(joints)
-        fits = {
-            name: JointFit(joint.result.fit, joint.result.summary.parameters, directions[name])
-            for name, joint in joints.items()
-            if joint.result
-        }
-        consistency = combine_joints(prior, fits, rng)
-        for name, joint_fit in fits.items():
-            joint, fit = joints[name], joint_fit.fit
-            assert joint.result is not None
-            rows, posterior, validation = joint_fit.rows, fit.posterior, None
-            if name in consistency.agreed and joint_fit.adequate:
-                posterior = conditional_posterior(joint_fit, consistency.draws, rng)
-                rows = updated_rows(joint_fit, posterior)
-            if held_out := joint.result.model.held_out:
-                predictions = predict_held_out(fit.target, posterior, held_out)
-                validation = validation_record(replace(fit, held_out=predictions))
-            updated[name] = replace(
-                joint,
-                rows=rows,
-                validation=validation,
-                p_value=consistency.p_values[name],
-                agrees=name in consistency.agreed,
-            )
-        return cls(bodies, (*logs,), updated, prior, fits, consistency)
+        fitted = {name: joint for name, joint in joints.items() if joint.result}
+        likelihoods = {name: joint.likelihood for name, joint in fitted.items()}
+        consistency = combine_joints(prior, likelihoods, rng)
+        for name, joint in fitted.items():
+            updated[name] = joint.updated(consistency, rng)
+        return cls(bodies, (*logs,), updated, prior, consistency)
 
     @property
     def urdf(self) -> Path:
         """The URDF."""
         return self.bodies.path
+
+    @property
+    def fitted(self) -> dict[str, FittedJoint]:
+        """The joints that are fitted."""
+        return {name: joint for name, joint in self.joints.items() if joint.result}
 
     @property
     def visited(self) -> Array:
@@ -196,85 +263,75 @@ class FittedArm:
         consistency, values = self.consistency, {}
         urdf = np.zeros((1, len(self.prior.deviations)))
         z = rng.choice(consistency.draws if consistency.agreed else urdf, count)
-        for name, joint_fit in self.fits.items():
-            draws = rng.choice(joint_fit.fit.posterior.flat(), count)
-            if name in consistency.agreed:  # draws outside their bounds stay as they were
-                conditional = conditional_draws(joint_fit, z, rng)
+        for name, joint in self.fitted.items():
+            fit = joint.fitted.fit
+            draws = rng.choice(fit.posterior.flat(), count)
+            if joint.agrees:  # draws outside their bounds stay as they were
+                conditional = joint.draws(z, rng)
                 inside = np.isfinite(conditional).all(axis=1, keepdims=True)
                 draws = np.where(inside, conditional, draws)
-            values[name] = joint_fit.fit.target.chain_values(draws)
+            values[name] = fit.target.chain_values(draws)
         return z, values
 
     @cached_property
     def inertial_estimate(self) -> dict[str, Any]:
-        """Inertial parameters by the joints that agree, with keys as in ``arm.json``."""
-        consistency = self.consistency
+        """Inertial parameters by the joints that agree, with keys as in ``arm.json``.
+
+        ``causes`` are the deviations, the surest first.
+        """
+        consistency, causes = self.consistency, []
+        value, sd = consistency.draws.mean(axis=0), consistency.draws.std(axis=0)
+        for k in np.argsort(-np.abs(value) / sd).tolist():
+            name, scale, unit = self.prior.deviations[k]
+            numbers = {"value": float(value[k]) * scale, "sd": float(sd[k]) * scale}
+            causes.append({"name": name, **numbers, "prior_sd": scale, "unit": unit})
         return {
             "p": consistency.p,
             "agreed": [*consistency.agreed],
             "physical": consistency.physical,
             "width": consistency.width,
-            "causes": consistency.deviations(self.prior),
+            "causes": causes,
             "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),
         }
 
     @property
-    def samples(self) -> tuple[int, int]:
+    def samples(self) -> dict[str, int]:
         """Number of fitted samples, and of all samples."""
-        return sum(log.fitted for log in self.logs), sum(log.rows for log in self.logs)
+        fitted, every = (sum(getattr(log, key) for log in self.logs) for key in ("fitted", "rows"))
+        return {"fitted": fitted, "of": every}
 
     @property
     def messages(self) -> list[str]:
         """Messages below the table, a line each."""
-        lines = [f"{name}: {line}" for name, x in self.joints.items() for line in x.messages]
-        fitted, rows = self.samples
-        if fitted < rows:
-            lines.insert(0, f"{fitted} of {rows} samples were fitted, in segments all over them")
-        estimate = self.inertial_estimate
-        significant = [
-            f"{row['name']} {row['value']:+.2g} ± {row['sd']:.2g} {row['unit']}".rstrip()
-            for row in estimate["causes"][:_DEVIATIONS]
-            if abs(row["value"]) > 2.0 * row["sd"]
-        ]
-        if not estimate["agreed"] or not significant:
-            return lines
-        verdict = "differ from the URDF"
-        if estimate["p"] < UNLIKELY:
-            verdict = f"contradict the URDF, by {estimate['width']:.2g} times its uncertainty"
-        return [f"bodies {verdict} ({p_text(estimate['p'])}): {listed(significant)}", *lines]
+        return filled("arm.txt.j2", arm=self, unlikely=UNLIKELY).splitlines()
 
     @property
     def reliable(self) -> bool:
         """Whether every sampling has converged."""
-        results = (joint.result for joint in self.joints.values() if joint.result)
-        return all(result.summary.sampler.status == "reliable" for result in results)
+        return all(x.fitted.summary.sampler.status == "reliable" for x in self.fitted.values())
 
     def as_json(self) -> dict[str, Any]:
         """Give the content of ``arm.json``."""
-        base = [asdict(parameter) for parameter in self.inertial_estimate["base_parameters"]]
         return {
             "bayesfric": __version__,
             "urdf": str(self.urdf),
             "logs": [str(log.path) for log in self.logs],
-            "samples": dict(zip(("fitted", "of"), self.samples, strict=True)),
-            "bodies": {**self.inertial_estimate, "base_parameters": base},
+            "samples": self.samples,
+            "bodies": self.inertial_estimate,
             "joints": {name: joint.as_json() for name, joint in self.joints.items()},
         }
 
-    def text(self) -> list[str]:
-        """Lay out the table for a terminal, with the messages below it."""
+    def text(self, *, height: int = 28) -> list[str]:
+        """Lay out the table for a terminal, with the messages below it, in so many lines."""
         rows: list[tuple[str, ...]] = [("", *COLUMNS)]
-        for name, joint in self.joints.items():
-            if joint.result is not None:
-                cells = [_cell(row) for row in joint.cells.values()]
-                rows += [(name, *(c[0] for c in cells)), ("", *(c[1] for c in cells))]
+        for name, joint in self.fitted.items():
+            cells = [_cell(row) for row in joint.cells.values()]
+            rows += [(name, *(c[0] for c in cells)), ("", *(c[1] for c in cells))]
         widths = [2 + max(map(len, column)) for column in zip(*rows, strict=True)]
         table = ["".join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
-        messages = self.messages
-        limit = max(_LINES - len(table), 1)
-        if len(messages) > limit:
-            hidden = len(messages) - limit + 1
-            messages = [*messages[: limit - 1], f"and {hidden} lines more in arm.html"]
+        messages, limit = self.messages, max(height - len(table), 1)
+        if hidden := max(len(messages) - limit, 0):
+            messages = [*messages[: limit - 1], f"and {hidden + 1} lines more in arm.html"]
         return [line.rstrip() for line in (*table, *messages)]
 
     def write(self, folder: Path | str, *, full: bool = False) -> Path:
@@ -285,12 +342,11 @@ class FittedArm:
         folder
             Where to write; each joint has a run directory in it.
         full
-            Whether each joint has its figures, tables and page, too.
+            Whether each joint has its figures, tables and page, too, and all draws, not 300.
         """
         folder = Path(folder)
-        for joint in self.joints.values():
-            if joint.result is not None:
-                joint.result.write(folder / joint.folder, draws=None if full else _DRAWS)
+        for joint in self.fitted.values():
+            joint.fitted.write(folder / joint.folder, draws=None if full else 300)
         record = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
         page = render(
             "arm.html.j2", title=folder.name, arm=self, columns=COLUMNS, cell=_cell, full=full,

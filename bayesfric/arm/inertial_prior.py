@@ -19,14 +19,15 @@ import math
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
 from bayesfric.base.errors import BadInput, nearest
@@ -36,26 +37,23 @@ from bayesfric.mechanism.quantities import Motion
 from bayesfric.recordings.arrays import Array
 
 PER_BODY = 10  # inertial parameters of a body
-_MAX_BYTES = 10_000_000
 _MOTIONS: dict[str, Motion] = {"revolute": "rotary", "continuous": "rotary", "prismatic": "linear"}
-# Complaints of iDynTree on stderr after which it reads on although it should not.
-_REFUSED = ("[ERROR]", "[WARNING] InertiaElement")
-# Chains, their steps, and shrinkages of a slice at most: enough for forty deviations to be
-# independent of the start.
-_CHAINS, _STEPS, _SHRINKS = 400, 150, 60
-_ROUNDING = 1e-9  # of a pseudo-inertia's trace
+_PARAMETERS = ("mass", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+_UNITS = ("kg", *("kg m",) * 3, *("kg m²",) * 6)
 
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint of the URDF that moves."""
+    """A joint of the URDF that moves; SI."""
 
     name: str
     motion: Motion
-    range: float  # between its limits, rad or m; infinite without
-    mimics: tuple[str, float, float] | None  # joint, multiplier, offset
+    mimics: tuple[str, float, float] | None = None  # joint, multiplier, offset
     endless: bool = False  # continuous
-    limit: Mapping[str, str] = field(default_factory=dict)  # as it is written
+    low: float = -math.inf  # limits of position
+    high: float = math.inf
+    speed: float = 0.0  # limits of size
+    effort: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,45 +129,37 @@ class Bodies:
         if link not in self.links:
             problem = f"there is no link {link!r}"
             raise BadInput("payload.link", problem, nearest(link, self.links))
-        spread, feasible = list[Array](), list[float]()
-        deviations = list[tuple[str, float, str]]()
-
-        def add(
-            name: str, sd: float, unit: str, body: int | slice, change: Any, start: float = 0.0
-        ) -> None:
-            column = np.zeros_like(self._nominal)
-            column[body] = sd * np.asarray(change)
-            spread.append(column.ravel())
-            deviations.append((name, sd, unit))
-            feasible.append(start)
-
-        add("all bodies", uncertainty.factor, "", slice(None), self._nominal)
+        # name, sd, unit, body and change per unit of each deviation
+        factor, rows = uncertainty.factor, list[tuple[str, float, str, int | slice, Array]]()
+        rows.append(("all bodies", factor, "", slice(None), self._nominal))
         for k, name in enumerate(self.links):
             mass = self._nominal[k, 0]
             if mass and moving_joints[k]:
-                add(f"{name} by itself", uncertainty.factor, "", k, self._nominal[k])
-                centre = self._nominal[k, 1:4] / mass
-                for axis, unit_vector in zip("xyz", np.eye(3), strict=True):
-                    change = mass * _centre_shift(centre, unit_vector)
-                    add(f"centre of {name}, {axis}", uncertainty.centre, "m", k, change)
-        k, centre = self.links.index(link), np.array(payload.centre)
-        add(f"payload of {link}", payload.mass_sd, "kg", k, _point_mass(centre), 1.0)
-        moment_sd = payload.mass_sd * payload.centre_sd
-        for axis, unit_vector in zip("xyz", np.eye(3), strict=True):
-            change = _centre_shift(centre, unit_vector)
-            add(f"moment of the payload, {axis}", moment_sd, "kg m", k, change)
+                rows.append((f"{name} by itself", factor, "", k, self._nominal[k]))
+                for axis, change in _centre_shifts(self._nominal[k, 1:4] / mass).items():
+                    name_of = f"centre of {name}, {axis}"
+                    rows.append((name_of, uncertainty.centre, "m", k, mass * change))
+        k, centre, mass_sd = self.links.index(link), np.array(payload.centre), payload.mass_sd
+        moment_sd = mass_sd * payload.centre_sd
+        rows.append((f"payload of {link}", mass_sd, "kg", k, _point_mass(centre)))
+        for axis, change in _centre_shifts(centre).items():
+            rows.append((f"moment of the payload, {axis}", moment_sd, "kg m", k, change))
         for i, axes in enumerate(("xx", "xy", "xz", "yy", "yz", "zz")):
-            change = np.zeros(PER_BODY)
-            change[4:] = inertia_of(tensor(np.eye(6)[i]))
+            change = np.r_[np.zeros(4), inertia_of(tensor(np.eye(6)[i]))]
             name, sd = f"second moment of the payload, {axes}", moment_sd * payload.centre_sd
-            add(name, sd, "kg m²", k, change, float(axes[0] == axes[1]))
+            rows.append((name, sd, "kg m²", k, change))
+        spread = np.zeros((len(rows), *self._nominal.shape))
+        for column, (_, sd, _, body, change) in zip(spread, rows, strict=True):
+            column[body] = sd * change
+        feasible = np.zeros(len(rows))
+        feasible[-PER_BODY:] = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
         known_payload = np.zeros_like(self._nominal)
         known_payload[k] = payload.mass * _point_mass(centre)
         return InertialPrior(
             (self._nominal + known_payload).ravel(),
-            np.stack(spread, axis=1),
-            deviations,
-            np.array(feasible),
+            spread.reshape(len(rows), -1).T.copy(),
+            [row[:3] for row in rows],
+            feasible,
             known_payload.ravel(),
         )
 
@@ -250,12 +240,6 @@ def resolution(torque: Array, speed: Array, acceleration: Array, columns: Array)
     return float(math.sqrt(variance) / residual.size)
 
 
-def second_moments(inertia: Array) -> Array:
-    """Give second moments of mass of inertia tensors, ``(..., 3, 3)`` both; ``I = tr(S) - S``."""
-    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
-    return np.asarray(0.5 * trace * np.eye(3) - inertia)
-
-
 def inertia_of(second: Array) -> Array:
     """Give the inertia ``(..., 6)`` of second moments ``(..., 3, 3)``, about the same point."""
     trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
@@ -271,8 +255,9 @@ def tensor(six: Array) -> Array:
 def pseudo_inertias(parameters: Array) -> Array:
     """Give the pseudo-inertias ``(..., n, 4, 4)`` of ``(..., 10 n)`` parameters."""
     body = parameters.reshape(*parameters.shape[:-1], -1, PER_BODY)
-    out = np.empty((*body.shape[:-1], 4, 4))
-    out[..., :3, :3] = second_moments(tensor(body[..., 4:]))
+    out, inertia = np.empty((*body.shape[:-1], 4, 4)), tensor(body[..., 4:])
+    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
+    out[..., :3, :3] = 0.5 * trace * np.eye(3) - inertia
     out[..., :3, 3] = out[..., 3, :3] = body[..., 1:4]
     out[..., 3, 3] = body[..., 0]
     return out
@@ -283,7 +268,7 @@ def feasible(parameters: Array) -> NDArray[np.bool_]:
     pseudo_inertia = pseudo_inertias(parameters)
     smallest = np.linalg.eigvalsh(pseudo_inertia)[..., 0]
     trace = np.trace(pseudo_inertia, axis1=-2, axis2=-1)
-    return np.asarray((trace >= 0.0) & (smallest >= -_ROUNDING * np.abs(trace)))
+    return np.asarray((trace >= 0.0) & (smallest >= -1e-9 * np.abs(trace)))
 
 
 def with_second_order(parameters: Array, nominal: Array) -> Array:
@@ -311,12 +296,16 @@ def sample_feasible(
     covariance: Array,
     start: Array,
     rng: np.random.Generator,
+    *,
+    chains: int = 400,
+    steps: int = 150,
 ) -> tuple[Array, float]:
     """Sample a Gaussian over ``z``, truncated to where all bodies are physical.
 
     These are :func:`with_second_order` of ``nominal + spread @ z``; links that are not physical at
-    ``start`` are not tested. By elliptical slice sampling (Murray, Adams and MacKay 2010). Returns
-    draws ``(400, k)`` and the share of the Gaussian's own draws that are feasible.
+    ``start`` are not tested. By elliptical slice sampling (Murray, Adams and MacKay 2010), in so
+    many steps that forty deviations are independent of the start. Returns draws ``(chains, k)`` and
+    the share of the Gaussian's own draws that are feasible.
     """
     tested = feasible(with_second_order(nominal + spread @ start, nominal))
 
@@ -327,15 +316,15 @@ def sample_feasible(
     root = np.linalg.cholesky(covariance)
 
     def draw() -> Array:
-        return np.asarray(rng.normal(size=(_CHAINS, mean.size)) @ root.T)
+        return np.asarray(rng.normal(size=(chains, mean.size)) @ root.T)
 
     share = float(np.mean(inside(mean + draw())))
-    state = np.tile(start - mean, (_CHAINS, 1))
-    for _ in range(_STEPS):
-        auxiliary, angle = draw(), rng.uniform(0.0, 2.0 * np.pi, _CHAINS)
-        low, high, active = angle - 2.0 * np.pi, angle.copy(), np.arange(_CHAINS)
+    state = np.tile(start - mean, (chains, 1))
+    for _ in range(steps):
+        auxiliary, angle = draw(), rng.uniform(0.0, 2.0 * np.pi, chains)
+        low, high, active = angle - 2.0 * np.pi, angle.copy(), np.arange(chains)
         previous = state.copy()
-        for _ in range(_SHRINKS):
+        for _ in range(60):  # the slice shrinks
             at = angle[active, None]
             proposal = previous[active] * np.cos(at) + auxiliary[active] * np.sin(at)
             accepted = inside(mean + proposal)
@@ -354,59 +343,102 @@ def _point_mass(at: Array) -> Array:
     return np.array([1.0, *at, *inertia_of(np.outer(at, at))])
 
 
-def _centre_shift(centre: Array, direction: Array) -> Array:
-    """Differentiate the inertial parameters per kg by a shift of the centre of mass, 1/m."""
-    second = np.outer(centre, direction) + np.outer(direction, centre)
-    return np.array([0.0, *direction, *inertia_of(second)])
+def _centre_shifts(centre: Array) -> dict[str, Array]:
+    """Differentiate the inertial parameters per kg by shifts of the centre along each axis, 1/m."""
+    shifts = {}
+    for axis, unit in zip("xyz", np.eye(3), strict=True):
+        second = np.outer(centre, unit) + np.outer(unit, centre)
+        shifts[axis] = np.array([0.0, *unit, *inertia_of(second)])
+    return shifts
+
+
+# -- base parameters: combinations of inertial parameters that torques depend on (Gautier 1991)
+
+
+def combinations(bodies: Bodies, *, rounding: float = 1e-8) -> tuple[Array, Array]:
+    """Find the base parameters of an arm, independent of its motion.
+
+    Of the regressor's columns along random motions, root to tip, each is either independent of
+    those before or a linear combination of them. Returns the index ``(r,)`` of the first inertial
+    parameter of each, and their coefficients ``(r, 10 n_links)``, which are 1 for the first.
+    """
+    count, n = len(bodies.joints), PER_BODY * len(bodies.links)
+    motion = np.random.default_rng(0).uniform(-2.0, 2.0, (3, count, 120))
+    identity = np.broadcast_to(np.eye(n), (count, n, n))
+    columns = np.moveaxis(bodies.torques(motion, identity), 1, 2).reshape(-1, n)
+    triangle = np.linalg.qr(columns).R
+    basis, first = np.zeros((len(triangle), 0)), list[int]()
+    for k in range(n):
+        column = triangle[:, k]
+        residual = column - basis @ (basis.T @ column)
+        if np.linalg.norm(residual) > rounding * np.linalg.norm(triangle):
+            first.append(k)
+            basis = np.linalg.qr(triangle[:, first])[0]
+    q, r = np.linalg.qr(triangle[:, first])
+    coefficients = solve_triangular(r, q.T @ triangle)
+    return np.array(first), np.where(np.abs(coefficients) > 1e3 * rounding, coefficients, 0.0)
+
+
+def base_parameters(bodies: Bodies, prior: InertialPrior, draws: Array) -> list[dict[str, Any]]:
+    """Give the posterior of the base parameters, those first whose sd the data reduce most.
+
+    ``draws`` ``(n, n_deviations)`` are of the deviations of an inertial prior. Each has the keys of
+    ``arm.json``: ``name`` of its first inertial parameter, ``beside`` the factors of the others.
+    """
+    names = [f"{parameter} of {link}" for link in bodies.links for parameter in _PARAMETERS]
+    first, coefficients = combinations(bodies)
+    urdf, slopes = coefficients @ prior.nominal, coefficients @ prior.spread
+    value, sd = urdf + slopes @ draws.mean(axis=0), (draws @ slopes.T).std(axis=0)
+    prior_sd = np.sqrt(np.sum(slopes**2, axis=1))
+    contraction = np.divide(sd, prior_sd, out=np.ones_like(sd), where=prior_sd > 0.0)
+    rows = []
+    for i in np.argsort(contraction):
+        others = [k for k in np.flatnonzero(coefficients[i]) if k != first[i]]
+        beside = {names[k]: float(coefficients[i, k]) for k in others}
+        row = {"name": names[first[i]], "beside": beside, "unit": _UNITS[first[i] % PER_BODY]}
+        numbers = {"value": value[i], "sd": sd[i], "urdf": urdf[i], "urdf_sd": prior_sd[i]}
+        rows.append(row | {key: float(x) for key, x in numbers.items()})
+    return rows
+
+
+# -- reading the URDF
 
 
 def urdf_text(path: Path) -> str:
     """Read the text of a URDF."""
-    return read_text(path, "name the robot's .urdf file", largest=_MAX_BYTES)
-
-
-def parsed_urdf(
-    path: Path, text: str, parser: ElementTree.XMLParser | None = None
-) -> ElementTree.Element:
-    """Parse the text of a URDF."""
-    try:
-        return ElementTree.fromstring(text, parser)
-    except ElementTree.ParseError as error:
-        raise _no_urdf(path, error) from None
-
-
-def _no_urdf(path: Path, error: Exception) -> BadInput:
-    return BadInput(str(path), f"is no URDF ({error})", "give what xacro makes")
+    return read_text(path, "name the robot's .urdf file", largest=10_000_000)
 
 
 def _joints(path: Path) -> dict[str, UrdfJoint]:
     """Read the joints that move: their limits and mimics, which iDynTree does not give."""
     joints = {}
-    for joint in parsed_urdf(path, urdf_text(path)).findall("joint"):
-        name, kind = joint.get("name", ""), joint.get("type", "")
-        limit, mimic = (getattr(joint.find(tag), "attrib", {}) for tag in ("limit", "mimic"))
-        if kind not in _MOTIONS:
-            continue
-        try:
-            width = float(limit.get("upper", 0)) - float(limit.get("lower", 0))
+    try:
+        for joint in ElementTree.fromstring(urdf_text(path)).findall("joint"):
+            name, kind = joint.get("name", ""), joint.get("type", "")
+            limit, mimic = (getattr(joint.find(tag), "attrib", {}) for tag in ("limit", "mimic"))
+            if kind not in _MOTIONS:
+                continue
+            keys = ("lower", "upper", "velocity", "effort")
+            low, high, speed, effort = (float(limit.get(key, 0)) for key in keys)
+            if kind == "continuous" or low >= high:  # the latter means that there is no limit
+                low, high = -math.inf, math.inf
             multiplier, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
-        except ValueError as error:
-            raise _no_urdf(path, error) from None
-        joints[name] = UrdfJoint(
-            name,
-            _MOTIONS[kind],
-            width if width > 0.0 and kind != "continuous" else np.inf,
-            (mimic.get("joint", ""), multiplier, offset) if mimic else None,
-            kind == "continuous",
-            limit,
-        )
+            source = (mimic.get("joint", ""), multiplier, offset) if mimic else None
+            endless = kind == "continuous"
+            limits = low, high, speed, effort
+            joints[name] = UrdfJoint(name, _MOTIONS[kind], source, endless, *limits)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise BadInput(str(path), f"is no URDF ({error})", "give what xacro makes") from None
     if not joints:
         raise BadInput(str(path), "has no joint that moves", "give the URDF of an arm")
     return joints
 
 
 def _stderr_of(load: Callable[[], Any]) -> str:
-    """Call a function, and return the first complaint on stderr, where C++ libraries write."""
+    """Call a function, and return the first complaint on stderr, where C++ libraries write.
+
+    After these iDynTree reads on although it should not.
+    """
     with tempfile.TemporaryFile() as captured:
         stderr = os.dup(2)
         os.dup2(captured.fileno(), 2)
@@ -417,5 +449,6 @@ def _stderr_of(load: Callable[[], Any]) -> str:
             os.close(stderr)
         captured.seek(0)
         lines = captured.read().decode("utf-8", "replace").splitlines()
-    complaint = next((line for line in lines if line.startswith(_REFUSED)), "")
+    refused = ("[ERROR]", "[WARNING] InertiaElement")
+    complaint = next((line for line in lines if line.startswith(refused)), "")
     return complaint.rpartition(" : ")[2].strip()

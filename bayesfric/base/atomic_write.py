@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
+from filelock import FileLock, Timeout
 from pydantic_core import to_jsonable_python
 
 from bayesfric.base.errors import BadInput
@@ -105,6 +106,26 @@ def check_output_folder(folder: Path, *, force: bool | None, marker: str = "summ
         TemporaryFile(dir=parent).close()
     except OSError as error:
         raise unwritable(folder, error, "folder") from None
+
+
+@contextmanager
+def run_lock(folder: Path) -> Iterator[None]:
+    """Hold an exclusive lock on a run folder; the system releases that of a killed process."""
+    target = absolute(folder)
+    lock = FileLock(target.with_name(f".{target.name}.lock"))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire(timeout=0)
+    except Timeout:
+        what = "another process is making this run"
+        raise BadInput(str(folder), what, "wait for it, or name another with -o") from None
+    except OSError as error:
+        raise unwritable(folder, error, "folder") from None
+    try:
+        yield
+    finally:
+        Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()
 
 
 def absolute(path: Path) -> Path:

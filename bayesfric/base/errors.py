@@ -5,10 +5,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-# Truncate long names in messages.
-_LONGEST = 800
-_LONGEST_WORD = 100
-
 
 class BadInput(Exception):
     """Input that cannot be used, in one line.
@@ -20,12 +16,7 @@ class BadInput(Exception):
     what
         What is wrong with it.
     hint
-        What to do about it.
-
-    Notes
-    -----
-    The command line prints ``str(error)`` and exits with code 2; a library caller gets the three
-    parts as attributes.
+        What to do about it. The three are attributes, too.
     """
 
     def __init__(self, where: str, what: str, hint: str) -> None:
@@ -58,17 +49,14 @@ def nearest(word: str, known: Iterable[str]) -> str:
     """Suggest what a misspelt name may be: the nearest known one, or all of them."""
     choices = list(known)
     # the time grows with the square of the length
-    close = difflib.get_close_matches(word[:_LONGEST_WORD], choices, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(word[:100], choices, n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]!r}?"
     return f"use one of {', '.join(choices)}" if choices else "leave it out"
 
 
 def _one_line(text: str) -> str:
-    """Join lines, and escape control characters."""
+    """Join lines, cut long names, and escape control characters."""
     text = " ".join(str(text).split())
-    if len(text) > _LONGEST:
-        text = f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"
-    if text.isprintable():
-        return text
+    text = text if len(text) <= 800 else f"{text[:400]} … {text[-400:]}"
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

@@ -10,13 +10,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from bayesfric.base.errors import BadInput, Unfit, nearest
 
-_LONGEST = 60
-
 
 class Options(BaseModel):
     """Options that refuse keys they do not know."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    def settings(self) -> dict[str, Any]:
+        """Keys that the configuration sets; a preset's values count for the others."""
+        return self.model_dump(exclude_unset=True)
 
 
 def configuration_error(
@@ -77,10 +79,10 @@ def _worded(first: Any, messages: Sequence[str]) -> tuple[str, str]:
 
 def _shown(value: Any) -> str:
     """Write a value as a configuration would."""
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
     if isinstance(value, Mapping):
-        text = "a table"
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+        return "a table"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}…"
 
 
 def _known_keys(place: Sequence[int | str], model: Any) -> list[str]:

@@ -28,31 +28,22 @@ class Timer:
     """Time since it was started: wall clock, and CPU time with that of child processes."""
 
     def __init__(self) -> None:
-        self._began = time.perf_counter(), _cpu_seconds()
+        self._start, self._cpu_start = time.perf_counter(), sum(os.times()[:4])
 
     @property
     def seconds(self) -> float:
         """Wall-clock time."""
-        return time.perf_counter() - self._began[0]
+        return time.perf_counter() - self._start
 
     @property
     def cpu_seconds(self) -> float:
         """CPU time of all processors."""
-        return _cpu_seconds() - self._began[1]
-
-    def __str__(self) -> str:
-        """Write both."""
-        return time_text(self)
+        return sum(os.times()[:4]) - self._cpu_start
 
 
-def time_text(of: Any) -> str:
-    """Write wall-clock and CPU time."""
-    return f"{of.seconds:.1f} s by the clock, {of.cpu_seconds:.1f} s of CPU time"
-
-
-def _cpu_seconds() -> float:
-    now = os.times()
-    return now.user + now.system + now.children_user + now.children_system
+def time_text(timed: Any) -> str:
+    """Write wall-clock and CPU time, of a timer or a result."""
+    return f"{timed.seconds:.1f} s by the clock, {timed.cpu_seconds:.1f} s of CPU time"
 
 
 def no_progress(_: Progress) -> None:

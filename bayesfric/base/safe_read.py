@@ -16,8 +16,8 @@ from bayesfric.base.errors import BadInput
 if TYPE_CHECKING:
     import h5py
 
-# Bytes of a text file, and of one array.
-LARGEST_TEXT, LARGEST_ARRAY = 2**26, 2**28
+# Bytes of one array.
+LARGEST_ARRAY = 2**28
 
 
 def check_file(path: Path, hint: str = "check the name") -> int:
@@ -38,18 +38,16 @@ def check_file(path: Path, hint: str = "check the name") -> int:
     return size
 
 
-def read_text(path: Path, hint: str = "check the name", *, largest: int | None = None) -> str:
-    """Read a UTF-8 file of at most ``largest`` bytes, 64 MiB by default."""
-    largest = LARGEST_TEXT if largest is None else largest
+def read_text(path: Path, hint: str = "check the name", *, largest: int = 2**26) -> str:
+    """Read a UTF-8 file of at most ``largest`` bytes."""
     if check_file(path, hint) > largest:
         raise BadInput(str(path), f"is larger than {largest / 2**20:.3g} MiB", hint)
     try:
         return path.read_text(encoding="utf-8-sig")  # editors on Windows write a mark
     except OSError as error:
         raise unreadable(path, error) from None
-    except UnicodeDecodeError as error:
-        what = f"is not UTF-8 (byte {error.start})"
-        raise BadInput(str(path), what, "save it as UTF-8") from None
+    except UnicodeDecodeError:
+        raise BadInput(str(path), "is not UTF-8", "save it as UTF-8") from None
 
 
 def parse_json(where: str, text: str, hint: str = "make it again") -> Any:
@@ -60,9 +58,9 @@ def parse_json(where: str, text: str, hint: str = "make it again") -> Any:
         raise BadInput(where, f"is not valid JSON ({error})", hint) from None
 
 
-def read_json(path: Path, hint: str = "make it again", *, largest: int | None = None) -> Any:
-    """Read a JSON file of at most ``largest`` bytes, 64 MiB by default."""
-    return parse_json(str(path), read_text(path, hint, largest=largest), hint)
+def read_json(path: Path, hint: str = "make it again") -> Any:
+    """Read a JSON file."""
+    return parse_json(str(path), read_text(path, hint), hint)
 
 
 @contextmanager
@@ -79,26 +77,18 @@ def open_hdf5(path: Path, hint: str = "check the name") -> Iterator[h5py.File]:
         raise BadInput(str(path), what, hint) from None
 
 
-def check_size(size: int) -> None:
-    """Refuse an array of too many bytes with ``ValueError``, before memory is allocated."""
-    if size > LARGEST_ARRAY:
-        most = f"more than {LARGEST_ARRAY / 2**20:.3g}"
-        raise ValueError(f"an array of {size / 2**20:.3g} MiB, {most}")
-
-
 def read_array(dataset: h5py.Dataset) -> NDArray[Any]:
     """Read a dataset; ``ValueError`` where it is a group, or too large."""
     import h5py
 
     if not isinstance(dataset, h5py.Dataset):
         raise ValueError("no array")
-    check_size(dataset.nbytes)
+    if dataset.nbytes > LARGEST_ARRAY:  # before memory is allocated
+        raise ValueError(f"more than {LARGEST_ARRAY / 2**20:.3g} MiB in an array")
     return np.asarray(dataset[()])
 
 
 def unreadable(path: Path, error: OSError | ValueError) -> BadInput:
     """Word why a file that exists cannot be opened."""
-    if isinstance(error, PermissionError):
-        return BadInput(str(path), "no permission to read it", "change the file's permissions")
     why = getattr(error, "strerror", None) or str(error)
-    return BadInput(str(path), f"cannot be read ({why})", "check its name and the disk")
+    return BadInput(str(path), f"cannot be read ({why})", "check its name and permissions")

@@ -20,7 +20,7 @@ from typer import Argument, Option
 
 from bayesfric.base import LINEAR_ALGEBRA_THREADS, __version__
 from bayesfric.base.errors import BadInput, Interrupted
-from bayesfric.base.progress import Timer, progress_shown
+from bayesfric.base.progress import Timer, progress_shown, time_text
 from bayesfric.estimates import METHODS
 
 if TYPE_CHECKING:
@@ -44,7 +44,9 @@ Force = Annotated[bool, Option("--force", help="replace an old run")]
 OutputError = Annotated[bool, Option("--output-error", help="with that estimate; it simulates")]
 Paper = Annotated[bool, Option("--paper", help="with figures as PDF and PNG, and LaTeX")]
 Verbose = Annotated[bool, Option("--verbose", help="print how numbers were made, all findings")]
-RunOption = Annotated[Path | None, Option("-o", "--output", help="run directory to make")]
+OUTPUT = ("-o", "--output")
+RunOption = Annotated[Path | None, Option(*OUTPUT, help="run directory to make")]
+
 
 FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, ros2-control, csv, c or python"
 DEMO = "The demo recording is simulated, from Table 3 of the paper."
@@ -65,13 +67,9 @@ def _progress() -> Any:
 
 @app.command()
 def init(
-    preset: str | None = Argument(
-        None, help="rabbit-knee, motor-axis, servo-pendulum; or fleet, arm"
-    ),
-    output: Path | None = Option(None, "-o", "--output", help="file to write"),
-    log: Path | None = Option(
-        None, "--from", metavar="LOG", help="take this recording's columns by name"
-    ),
+    preset: str | None = Argument(None, help="rabbit-knee, motor-axis, servo-pendulum, fleet, arm"),
+    output: Path | None = Option(None, *OUTPUT, help="file to write"),
+    log: Path | None = Option(None, "--from", metavar="LOG", help="recording, columns by name"),
     table: str | None = Option(None, help="with --from: table, group or topic in it"),
     joint: str | None = Option(None, help="with --from: which joint of several"),
     urdf: Path | None = Option(None, metavar="ROBOT.urdf", help="of an arm"),
@@ -82,33 +80,20 @@ def init(
 ) -> None:
     """Write a commented configuration."""
     from bayesfric.base.atomic_write import write_files
-    from bayesfric.commands import init as command
+    from bayesfric.commands.init import draft_configuration, open_text
 
-    options = {"--schema": schema, "--all-keys": all_keys, "--from": log}
-    given = [name for name, value in options.items() if value]
-    output = None if output == Path("-") else output
-    if len(given) > 1:
-        raise BadInput(given[1], f"is beside {given[0]}", "ask for one")
-    if force and output is None:
-        raise BadInput("--force", "replaces a file", "name it with -o")
+    reference = "--schema" if schema else "--all-keys" if all_keys else None
+    if reference and (log or (schema and all_keys)):
+        raise BadInput(reference, "was given with --from or --all-keys", "give one of them")
     if log is None and (table or joint):
         raise BadInput("--table" if table else "--joint", "is for a log", "add --from LOG")
-    if (preset == "arm") != (urdf is not None) or (urdf and not log):
-        raise BadInput("init arm", "wants a log and a URDF", "add --from LOG --urdf ROBOT.urdf")
-    if log is not None and urdf is not None:
-        draft = command.arm_configuration(log, urdf, table)
-    elif log is not None:
-        draft = command.configuration_from(log, preset, output, table=table, joint=joint)
-    elif given:
-        draft = {"text": command.reference_text(preset, schema=schema)}
-    elif preset is None:
-        raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
-    else:
-        draft = {"text": command.configuration(preset)}
+    output = None if output == Path("-") else output
+    options: dict[str, Any] = {"table": table, "joint": joint, "urdf": urdf}
+    draft = draft_configuration(preset, log, output, reference=reference, **options)
     lines = [draft["text"]]
     if output is not None:
         write_files({output: draft["text"]}, replace=force)
-        lines = [f"Written to {output}", *command.open_text(draft)]
+        lines = [f"Written to {output}", *open_text(draft)]
     if schema and output:
         lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
     _print({**draft, "written": str(output) if output else None}, as_json, lines)
@@ -117,7 +102,7 @@ def init(
 @app.command()
 def simulate(
     config: ConfigFile,
-    output: Path = Option(..., "-o", "--output", help="CSV file to write"),
+    output: Path = Option(..., *OUTPUT, help="CSV file to write"),
     seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
@@ -126,7 +111,7 @@ def simulate(
     from bayesfric.problem.config import read_config
 
     truth = run(read_config(config), output, seed=seed)
-    lines = [f"Simulated recording written to {output}, truth beside it as .truth.json"]
+    lines = [f"Simulated recording written to {output}, truth next to it as .truth.json"]
     _print(truth, as_json, lines)
 
 
@@ -146,7 +131,7 @@ def estimate(
     as_json: AsJson = False,
 ) -> None:
     """Point estimates by the paper's methods, with standard deviations."""
-    from bayesfric.commands.estimate import estimate as run
+    from bayesfric.commands.analyse import estimate as run
 
     with _progress() as progress:
         record, lines = run(_model(config), method, progress=progress)
@@ -157,12 +142,12 @@ def estimate(
 def identify(
     config: ConfigFile,
     advise: str | None = Option(None, metavar="NAME", help="rank what to record next to know this"),
-    output: Path | None = Option(None, "-o", "--output", help="CSV to write, the torque to play"),
+    output: Path | None = Option(None, *OUTPUT, help="CSV to write, the torque to play"),
     force: bool = Option(False, "--force", help="replace that CSV"),
     as_json: AsJson = False,
 ) -> None:
     """Find what these recordings can and cannot determine, and what would help."""
-    from bayesfric.commands import identify as command
+    from bayesfric.commands import analyse
 
     if advise is None and (output or force):
         key = "--output" if output else "--force"
@@ -170,22 +155,20 @@ def identify(
     model = _model(config)
     with _progress() as show:
         if advise is None:
-            record, text = command.identify(model, progress=show)
+            record, text = analyse.identify(model, progress=show)
         else:
-            record, text = command.advise(model, advise, output, force=force, progress=show)
+            record, text = analyse.advise(model, advise, output, force=force, progress=show)
     _print(record, as_json, text)
 
 
 @app.command()
 def explain(
     config: ConfigFile,
-    output: Path | None = Option(
-        None, "-o", "--output", help="BETTER.toml: the configuration with these terms"
-    ),
+    output: Path | None = Option(None, *OUTPUT, help="configuration to write with these terms"),
     as_json: AsJson = False,
 ) -> None:
     """Find what else explains the torque, tested against simulated replicates."""
-    from bayesfric.commands.explain import explain as run
+    from bayesfric.commands.analyse import explain as run
 
     with _progress() as progress:
         record, text = run(_model(config), output, progress=progress)
@@ -221,8 +204,7 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
-    options: dict[str, Any] = {"seed": seed, "force": force, "paper": paper}
-    options["output_error"] = output_error
+    options = {"seed": seed, "force": force, "paper": paper, "output_error": output_error}
     _fit(config, output or Path(f"{config.stem}-run"), as_json, verbose=verbose, **options)
 
 
@@ -236,14 +218,14 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
-    options: dict[str, Any] = {"seed": seed, "force": force, "paper": paper}
+    options = {"seed": seed, "force": force, "paper": paper}
     _fit(None, output or Path("demo-run"), as_json, verbose=verbose, **options)
 
 
 @app.command()
 def report(run: RunFolder, paper: Paper = False, as_json: AsJson = False) -> None:
     """Make the page and the tables of a finished run again."""
-    from bayesfric.commands.report import report as make
+    from bayesfric.commands.runs import report as make
 
     with _progress() as progress:
         record = make(run, paper=paper, progress=progress)
@@ -253,9 +235,7 @@ def report(run: RunFolder, paper: Paper = False, as_json: AsJson = False) -> Non
 @app.command()
 def rollout(
     run: RunFolder,
-    config: Path | None = Argument(
-        None, metavar="CONFIG", help="other recordings (TOML); the run's if left out"
-    ),
+    config: Path | None = Argument(None, metavar="CONFIG", help="with other recordings"),
     draws: int = Option(100, min=2, max=10_000, help="of the posterior"),
     every: bool = Option(False, "--all", help="also what was fitted, not held out"),
     seed: Seed = None,
@@ -263,8 +243,8 @@ def rollout(
 ) -> None:
     """Play recordings to the joint: how far its simulated motion is from the measured one."""
     from bayesfric.base.atomic_write import jsonable
-    from bayesfric.commands.rollout import rollout as play
-    from bayesfric.commands.rollout import rollout_text
+    from bayesfric.commands.runs import rollout as play
+    from bayesfric.commands.runs import rollout_text
 
     with _progress() as progress:
         result = play(run, config, draws=draws, seed=seed, every=every, progress=progress)
@@ -276,9 +256,7 @@ def rollout(
 def export(
     run: RunFolder,
     to: str = Option(..., metavar="FORMAT", help=FORMATS),
-    output: Path | None = Option(
-        None, "-o", "--output", help="folder to make; RUN-FORMAT if left out"
-    ),
+    output: Path | None = Option(None, *OUTPUT, help="folder to make; RUN-FORMAT if left out"),
     joint: str = Option("joint", help="what the simulator calls the joint"),
     into: Path | None = Option(None, metavar="MODEL", help="mujoco: model whose joint is changed"),
     draws: int | None = Option(None, help="csv: how many draws"),
@@ -289,8 +267,7 @@ def export(
     from bayesfric.export.exported import export as run_to
 
     place = output or Path(f"{run.resolve().name}-{to}")
-    options: dict[str, Any] = {"joint": joint, "into": into, "draws": draws}
-    exported = run_to(run, to, output=place, force=force, **options)
+    exported = run_to(run, to, output=place, force=force, joint=joint, into=into, draws=draws)
     written = [str(place / name) for name in (*exported.files, "export.json")]
     lines = [*exported.text().splitlines(), "", f"Written: {', '.join(written)}"]
     _print(exported.as_json(), as_json, lines)
@@ -299,14 +276,12 @@ def export(
 @app.command()
 def compare(
     runs: list[Path] = Argument(..., metavar="RUN", help="run directories"),
-    output: Path | None = Option(
-        None, "-o", "--output", help="folder to make: page, tables, figures"
-    ),
+    output: Path | None = Option(None, *OUTPUT, help="folder to make: page, tables, figures"),
     estimates: bool = Option(False, "--estimates", help="of several runs, too"),
     as_json: AsJson = False,
 ) -> None:
     """Compare runs, or the methods and the posterior of one run."""
-    from bayesfric.commands.compare import compare as run
+    from bayesfric.commands.runs import compare as run
     from bayesfric.report.comparison.comparison import comparison_dict, comparison_text
 
     table = run(runs, output, estimates=estimates or None)
@@ -317,27 +292,16 @@ def compare(
 @app.command()
 def arm(
     urdf: Path = Argument(..., metavar="ROBOT.urdf", help="of the arm, with inertials"),
-    log: list[Path] = Argument(
-        ..., metavar="LOG", help="positions and efforts of its joints; or more"
-    ),
-    output: Path | None = Option(
-        None, "-o", "--output", help="folder to make; LOG-arm if left out"
-    ),
+    log: list[Path] = Argument(..., metavar="LOG", help="positions and efforts of its joints"),
+    output: Path | None = Option(None, *OUTPUT, help="folder to make; LOG-arm if left out"),
     config: Path | None = Option(None, "--config", metavar="arm.toml", help="what else is known"),
     predict: Path | None = Option(None, metavar="LOG", help="another motion, to be predicted"),
     full: bool = Option(False, "--full", help="figures, tables and page of each joint"),
-    to_files: bool = Option(
-        False, "--export", help="URDF, MJCF, ros2_control and Python of the result"
-    ),
+    to_files: bool = Option(False, "--export", help="as URDF, MJCF, ros2_control and Python"),
     roll_out: float | None = Option(
-        None,
-        "--rollout",
-        metavar="SECONDS",
-        help="simulate the efforts, restarting so often, as CSV",
+        None, "--rollout", metavar="SECONDS", help="simulate the efforts in such parts, as CSV"
     ),
-    advise: bool = Option(
-        False, "--advise", help="the most informative next motion, as CSV and JointTrajectory"
-    ),
+    advise: bool = Option(False, "--advise", help="most informative next motion, CSV and YAML"),
     wanted: list[str] | None = Option(
         None, metavar="JOINT.NUMBER", help="with --advise: what it is to determine"
     ),
@@ -378,9 +342,7 @@ def arm(
 @app.command()
 def fleet(
     plan: Path = Argument(..., metavar="FLEET", help="template and units (TOML)"),
-    output: Path | None = Option(
-        None, "-o", "--output", help="folder to make; FLEET-fleet if left out"
-    ),
+    output: Path | None = Option(None, *OUTPUT, help="folder to make; FLEET-fleet if left out"),
     workers: int | None = Option(None, min=1, help="processes; one a core if left out"),
     scheduler: str | None = Option(None, help="address of a running Dask scheduler"),
     resume: bool = Option(False, "--resume", help="do what is missing, failed or has changed"),
@@ -408,7 +370,7 @@ def _fit(
     config: Path | None, folder: Path, as_json: bool, *, verbose: bool, **options: Any
 ) -> None:
     """Fit a configuration, or the demo's."""
-    spent = Timer()  # before the slow imports
+    timer = Timer()  # before the slow imports
     with ExitStack() as bars:
         from bayesfric.commands.fit import demo_config, fit_text
         from bayesfric.commands.fit import fit as run
@@ -427,7 +389,7 @@ def _fit(
 
         read = demo_config() if config is None else read_config(config)
         summary = run(read, folder, progress=lambda x: show(x), on_summary=print_summary, **options)
-    lines = ["", f"{folder / 'report.html'}   in all {spent}"]
+    lines = ["", f"{folder / 'report.html'}   in all {time_text(timer)}"]
     _print(summary, as_json, lines, converged=summary["sampler"]["status"] == "reliable")
 
 
@@ -448,7 +410,7 @@ def _print(record: Any, as_json: bool, lines: Iterable[str], *, converged: bool 
         sys.stdout.flush()
     except BrokenPipeError:
         # the reader, such as head, has ended; files are still written
-        _write_no_more()
+        _discard_output()
     if not converged:
         raise typer.Exit(NOT_CONVERGED)
 
@@ -456,17 +418,17 @@ def _print(record: Any, as_json: bool, lines: Iterable[str], *, converged: bool 
 def _machine(error: OSError | MemoryError) -> BadInput:
     """Convert an error of the machine to bad input."""
     if isinstance(error, MemoryError):
-        mend = "shorten the recordings, or use a larger machine"
-        return BadInput("memory", "is not sufficient", mend)
+        hint = "shorten the recordings, or use a larger machine"
+        return BadInput("memory", "is not sufficient", hint)
     if error.filename is None:  # the output itself; do not fail again
-        _write_no_more()
+        _discard_output()
     where, reason = error.filename or "output", error.strerror or str(error)
     return BadInput(
         str(where), f"cannot be read or written ({reason})", "check disk space and permissions"
     )
 
 
-def _write_no_more() -> None:
+def _discard_output() -> None:
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

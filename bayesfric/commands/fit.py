@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
-from bayesfric.base.atomic_write import absolute, check_output_folder, unwritable
-from bayesfric.base.errors import BadInput
+from bayesfric.base.atomic_write import check_output_folder, run_lock
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import Config, read_config
@@ -43,26 +39,6 @@ def fit(
         progress(Progress("writing results"))
         summary = result.write(folder, paper=paper, progress=progress)
     return summary.as_dict()
-
-
-@contextmanager
-def run_lock(folder: Path) -> Iterator[None]:
-    """Hold an exclusive lock on a run folder; the system releases that of a killed process."""
-    target = absolute(folder)
-    lock = FileLock(target.with_name(f".{target.name}.lock"))
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        lock.acquire(timeout=0)
-    except Timeout:
-        what = "another process is making this run"
-        raise BadInput(str(folder), what, "wait for it, or name another with -o") from None
-    except OSError as error:
-        raise unwritable(folder, error, "folder") from None
-    try:
-        yield
-    finally:
-        Path(lock.lock_file).unlink(missing_ok=True)
-        lock.release()
 
 
 def demo_config() -> Config:

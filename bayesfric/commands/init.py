@@ -26,7 +26,6 @@ from bayesfric.recordings.units import OPEN
 
 # Name in place of a preset.
 FLEET = "fleet"
-_DEFAULT = "motor-axis"
 # Hints for open values.
 _UNITS = {
     "time": "s, ms or us",
@@ -43,6 +42,39 @@ _CONSTANTS = {
     "voltage": {"torque_constant": f"{OPEN} N m/A", "resistance": f"{OPEN} ohm"},
 }
 _WORDS = {float: "number", int: "integer", str: "text", bool: "true or false", Any: "anything"}
+
+
+def draft_configuration(
+    preset: str | None,
+    log: Path | None,
+    output: Path | None,
+    *,
+    reference: str | None = None,
+    table: str | None = None,
+    joint: str | None = None,
+    urdf: Path | None = None,
+) -> dict[str, Any]:
+    """Write what ``init`` is asked for: ``text``, and for a log what is left open.
+
+    ``reference`` is ``--all-keys``, ``--schema`` or none of them.
+    """
+    if (preset == "arm") != (urdf is not None) or (urdf and not log):
+        raise BadInput("init arm", "wants a log and a URDF", "add --from LOG --urdf ROBOT.urdf")
+    if log is not None and urdf is not None:
+        return _arm_configuration(log, urdf, table)
+    if log is not None:
+        return _log_configuration(log, preset, output, table, joint)
+    if reference is None:
+        if preset is None:
+            raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
+        return {"text": configuration(preset)}
+    if preset not in (None, FLEET):
+        hint = f"leave it out, or say {FLEET} for the keys of FLEET.toml"
+        raise BadInput(str(preset), f"{reference} is the same for every preset", hint)
+    model: type[BaseModel] = FleetTables if preset == FLEET else Tables
+    if reference == "--all-keys":
+        return {"text": keys_text(model)}
+    return {"text": json.dumps(model.model_json_schema(), indent=1, ensure_ascii=False) + "\n"}
 
 
 def configuration(preset: str, log: Log | None = None, **variables: Any) -> str:
@@ -76,23 +108,19 @@ def _template(name: str) -> Template:
     return templates.get_template(name)
 
 
-def configuration_from(
-    path: Path,
-    preset: str | None,
-    output: Path | None = None,
-    *,
-    table: str | None = None,
-    joint: str | None = None,
+def _log_configuration(
+    path: Path, preset: str | None, output: Path | None, table: str | None, joint: str | None
 ) -> dict[str, Any]:
     """Write a configuration for a log: ``text``, ``open`` keys, and what is ``unknown``.
 
     ``presets`` are alternatives if none was named. File names are relative to ``output``.
     """
     log = recognise(read_table(path, TableOptions.model_validate({"table": table})), joint)
-    chosen = preset or _DEFAULT
+    chosen = preset or "motor-axis"
     file = path if output is None else Path(os.path.relpath(path, output.parent))
     geared = chosen in PRESETS and PRESETS[chosen].chain().ratio != 1
     channels = _channels(log, geared)
+    text = configuration(chosen, log, file=str(file), table=table, channels=channels)
     open_keys = {
         f"{channel}.{key}": value
         for channel, keys in channels.items()
@@ -108,7 +136,7 @@ def configuration_from(
         unknown.append("whether position and velocity are those of the motor or of the joint")
     others = _others(chosen) if preset is None else []
     return {
-        "text": configuration(chosen, log, file=str(file), table=table, channels=channels),
+        "text": text,
         "preset": chosen,
         "presets": [{"preset": name, "when": PRESETS[name].when} for name in others],
         "open": open_keys,
@@ -118,17 +146,17 @@ def configuration_from(
     }
 
 
-def arm_configuration(log: Path, urdf: Path, table: str | None = None) -> dict[str, Any]:
+def _arm_configuration(log: Path, urdf: Path, table: str | None) -> dict[str, Any]:
     """Write an ``arm.toml``: ``text`` and ``open`` keys."""
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.arm_log import layout_of
 
     joints = Arm(urdf).bodies.joints
-    layout = layout_of(log, joints, table, in_order=True)
-    variables = {"recording": layout.recording, "labels": layout.labels, "joints": list(joints)}
+    recording, labels = layout_of(log, joints, table, in_order=True)
+    variables = {"recording": recording, "labels": labels, "joints": list(joints)}
     text = _template("arm.toml.j2").render(urdf=urdf, log=log, **variables)
-    units = {f"{k}.unit": OPEN for k, v in layout.recording.items() if OPEN in str(v)}
-    held = {f"joints.{name}.held": OPEN for name in joints if name not in layout.labels}
+    units = {f"{k}.unit": OPEN for k, v in recording.items() if OPEN in str(v)}
+    held = {f"joints.{name}.held": OPEN for name in joints if name not in labels}
     return {"text": text, "open": units | held}
 
 
@@ -163,18 +191,6 @@ def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
             keys = {"column": choice.column, "unit": choice.unit or OPEN}
             channels[channel] = keys | side | _CONSTANTS.get(channel, {})
     return channels
-
-
-def reference_text(kind: str | None, *, schema: bool) -> str:
-    """Write the keys, or the JSON schema, of a configuration, or of a ``FLEET.toml``."""
-    if kind not in (None, FLEET):
-        option = "--schema" if schema else "--all-keys"
-        mend = f"leave it out, or say {FLEET} for the keys of FLEET.toml"
-        raise BadInput(str(kind), f"{option} is the same for every preset", mend)
-    model: type[BaseModel] = FleetTables if kind == FLEET else Tables
-    if not schema:
-        return keys_text(model)
-    return json.dumps(model.model_json_schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def keys_text(model: type[BaseModel]) -> str:

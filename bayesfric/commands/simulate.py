@@ -17,9 +17,6 @@ from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config
 
-# A few minutes to simulate and some hundred megabytes of text; more is a mistyped duration.
-_MOST_SAMPLES = 10_000_000
-
 
 def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[str, Any]:
     """Simulate by ``[simulation]``, or its defaults, and write a CSV file.
@@ -34,19 +31,15 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     truth_file = target.with_suffix(".truth.json")
     with suppress(OSError):  # write_files reports an impossible name
         if target.is_file() and not truth_file.exists():
-            raise BadInput(
-                str(target),
-                "exists, and without its .truth.json may be a measurement",
-                "name another file with -o",
-            )
+            what = "exists, and without its .truth.json may be a measurement"
+            raise BadInput(str(target), what, "name another file with -o")
     with config.named():
         chain = config.tables.mechanism.joint()
         _check(options, chain)
         columns, motion, values = record(chain, options)
         if not all(np.isfinite(column).all() for column in columns.values()):
-            raise BadInput(
-                "simulation", "the recording overflows", "lower amplitude or torque_noise"
-            )
+            hint = "lower amplitude or torque_noise"
+            raise BadInput("simulation", "the recording overflows", hint)
     table = io.StringIO()
     np.savetxt(
         table,
@@ -74,15 +67,12 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     return truth
 
 
-def _check(options: Simulation, chain: Joint) -> None:
-    """Refuse options that are impossible together."""
+def _check(options: Simulation, chain: Joint, most_samples: int = 10_000_000) -> None:
+    """Refuse options that are impossible together; so many samples take some minutes."""
     samples = options.duration * options.rate
-    if samples > _MOST_SAMPLES:
-        raise BadInput(
-            "simulation.duration",
-            f"makes {samples:.2g} samples at rate = {options.rate:g}",
-            f"stay below {_MOST_SAMPLES:.0e}",
-        )
+    if samples > most_samples:
+        what = f"makes {samples:.2g} samples at rate = {options.rate:g}"
+        raise BadInput("simulation.duration", what, f"stay below {most_samples:.0e}")
     if not options.frequencies:
         raise BadInput("simulation.frequencies", "is empty", "name at least one, in Hz")
     if options.added_mass and not options.radius and chain.load.motion == "rotary":

@@ -1,26 +1,23 @@
 """What makes any fit doubtful, as recordings and base parameters show it before a fit.
 
-Checked are the position's units and columns, feedback of the motion in the torque, bands in which
-the inertia is attenuated, negative losses, and unexplained torque. A doubt is a dictionary with its
-``kind`` and the numbers that its wording needs.
+Checked are feedback of the motion in the torque, bands in which the inertia is attenuated, negative
+losses, and unexplained torque. A doubt is a dictionary with its ``kind`` and the numbers that its
+wording needs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import permutations
 from typing import Any
 
 import numpy as np
 
-from bayesfric.diagnostics.policy import LEAST_OUTPUTS
+from bayesfric.diagnostics.statistics import LEAST_OUTPUTS
 from bayesfric.estimates.autoregression import CORRELATED, lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.mechanism.joint import PRESETS, Joint
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, effort_words, quantity_of
-from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
@@ -38,23 +35,7 @@ def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[
     if share >= EXPLAINED or white:
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
-    doubt = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
-    return [doubt | alternatives(chain, observations, share)]
-
-
-def alternatives(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
-    """Suggest units and presets that may explain more than the mechanism in use."""
-    presets: list[str] = []
-    if "first_moment" not in chain.load.choices and chain.load.motion == "rotary":
-        others = {name: preset.chain() for name, preset in PRESETS.items()}
-        presets = [
-            name
-            for name, other in others.items()
-            if "first_moment" in other.load.choices
-            and name != chain.made_from
-            and other.ratio == chain.ratio
-        ]
-    return {"units": other_units(chain, observations, share), "presets": presets}
+    return [{"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}]
 
 
 def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
@@ -126,33 +107,3 @@ def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float
     measured = np.concatenate([o.measured for o in observations])
     residual = measured - projection.regressors @ projection.solve(measured)
     return 1.0 - float(np.var(residual) / np.var(measured)), residual
-
-
-def other_units(
-    chain: Joint, observations: Sequence[Observation], explained: float | None = None
-) -> list[dict[str, Any]]:
-    """List units of the position that explain far more of the torque, the best first.
-
-    Position, speed and acceleration are scaled together. Only a torque that is nonlinear in the
-    angle, such as gravity's, identifies the scale. Far more leaves half of the residual variance:
-    of measured spinning pendulums the right unit leaves 0.03 to 0.4, and none less than that.
-    """
-    if chain.load.motion != "rotary":
-        return []
-    if explained is None:
-        explained = best_share(chain, observations)[0]
-    better = []
-    for unit, other in permutations(("rad", "deg", "turn"), 2):
-        times = units.scale([unit], "angle") / units.scale([other], "angle")
-        scaled = [
-            replace(
-                o,
-                smooth=None,
-                **{key: times * getattr(o, key) for key in ("q", "qd", "qdd", "speed")},
-            )
-            for o in observations
-        ]
-        share = best_share(chain, scaled)[0]
-        if share > 1.0 - 0.5 * (1.0 - explained):
-            better.append({"is": unit, "taken": other, "share": share})
-    return sorted(better, key=lambda row: -float(row["share"]))

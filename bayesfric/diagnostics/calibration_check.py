@@ -16,7 +16,7 @@ from pydantic import Field
 from bayesfric.base.options import Options
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Replicate
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target, units_of
 from bayesfric.recordings.arrays import Array
@@ -37,22 +37,15 @@ class CalibrationCheckOptions(Options):
 
 
 @dataclass(frozen=True, eq=False)
-class ReplicateFit:
-    """Estimate from one replicate without torque noise."""
-
-    # (d,) sampled parameters, a short step from the truth towards the estimate: full steps along
-    # unidentified directions have any length
-    near_truth: Array
-    share: float  # of the full step
-    unexplained: float  # mean square of the residual over the noise variance
-
-
-@dataclass(frozen=True, eq=False)
 class CalibrationCheck:
-    """True parameters of the replicates and the fits to them."""
+    """True parameters of replicates without torque noise, and the fits to them."""
 
     truth: Array  # (n, d) sampled parameters
-    fits: tuple[ReplicateFit, ...]  # of each replicate
+    # (n, d) a short step from the truth towards the estimate, and (n,) its share of the full step:
+    # full steps along unidentified directions have any length
+    near_truth: Array
+    steps: Array
+    unexplained: Array  # (n,) mean square of the residual over the noise variance
     seconds: float
     cpu_seconds: float
     # Why it was not made: a likelihood of the position, samples at standstill, failed sampling,
@@ -86,15 +79,19 @@ def calibration_check(
     truth = np.tile(posterior.median, (len(replicates), 1))
     for row, replicate in zip(truth, replicates, strict=True):  # the noise stays the posterior's
         row[: len(columns)] = replicate.values[columns]
-    pairs = zip(truth, replicates, strict=True)
-    fits = tuple(_fit(target, *pair, columns, explained.share) for pair in pairs)
+    near_truth, (steps, unexplained) = truth.copy(), np.ones((2, len(truth)))
+    for k, replicate in enumerate(replicates):
+        fit = _fit(target, truth[k], replicate, columns, explained.share)
+        near_truth[k], steps[k], unexplained[k] = fit
     seconds = time.perf_counter() - begun, time.process_time() - worked
-    return CalibrationCheck(truth, fits, *seconds, reason, explained.share)
+    return CalibrationCheck(
+        truth, near_truth, steps, unexplained, *seconds, reason, explained.share
+    )
 
 
 def _fit(
     target: Target, truth: Array, replicate: Replicate, columns: Sequence[int], share: float
-) -> ReplicateFit:
+) -> tuple[Array, float, float]:
     """Take one Gauss-Newton step from the true parameters ``(d,)`` of a replicate.
 
     The prior is centred on the truth, as its pull is no bias; for a subsample its information is
@@ -105,13 +102,8 @@ def _fit(
     units, noise = units_of(target, truth), target.likelihood.noise
     scales = target.noise.scales(truth[None, k:])[0]
     rows = np.column_stack([replicate.base[:, columns] * units.units, replicate.residual])
-    pieces = [
-        noise.standard(piece.T, runs, scale)[0].T
-        for piece, runs, scale in zip(
-            replicate.layout.split(rows), replicate.layout.runs, scales, strict=True
-        )
-    ]
-    white = np.concatenate(pieces)
+    parts = zip(replicate.layout.split(rows), replicate.layout.runs, scales, strict=True)
+    white = np.concatenate([noise.standard(x.T, runs, scale)[0].T for x, runs, scale in parts])
     jacobian, error = white[:, :-1], white[:, -1]
     sds = np.array([prior.sd() for prior in target.priors[:k]])
     precision = np.where(np.isfinite(sds), (units.units / sds) ** 2, 0.0)
@@ -121,4 +113,4 @@ def _fit(
     step_share = 1e-3 / max(float(np.abs(step).max(initial=0.0)), 1e-3)
     near_truth = np.concatenate([units.moved(truth[:k], step_share * step), truth[k:]])
     residual = error - jacobian @ step
-    return ReplicateFit(near_truth, step_share, float(np.mean(residual**2)))
+    return near_truth, step_share, float(np.mean(residual**2))

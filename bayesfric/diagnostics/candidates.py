@@ -10,19 +10,24 @@ a motion without losses does not show: up to four shares are tried.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from bayesfric.diagnostics.disturbances import DELAYS, delay_columns
 from bayesfric.diagnostics.motion import ORDER, MotionSignals, deflection, in_gap
-from bayesfric.diagnostics.statistics import Key
+from bayesfric.diagnostics.statistics import DELAYS, Key
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import lowpass
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.filters import later, lowpass
+from bayesfric.recordings.observation import (
+    FAR_DELAYS,
+    Observation,
+    command_rate,
+    target_torque,
+)
 
 # Columns (N,) of each shape, by its name.
 Sets = Mapping[str, Sequence[Array]]
@@ -277,6 +282,33 @@ def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
         far = DELAYS[motion.chain.by_target]
         for number, column in enumerate(pair):
             yield Key(far, f"by about {delay:.2g} s", number, delay=delay), column
+
+
+def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
+    """Return the change of the torque over each far delay, and its rate then, ``(N,)`` each.
+
+    A position that is late by d belongs to the torque ``y(t - d)``, see
+    :mod:`bayesfric.recordings.observation`.
+    """
+    if m.chain.delay:
+        return {}
+    if m.chain.by_target:
+        command, r = target_torque(m.recording), m.recording
+        # from 0.01 s one linear column no longer suffices
+        return {
+            d: (m.smooth(command - target_torque(r, d)), command_rate(m.o, r, d))
+            for d in (0.01, *FAR_DELAYS)
+        }
+    torque = m.smooth(m.o.torque)
+    delays = [d for late in FAR_DELAYS for d in (late, -late)]
+    delayed, is_known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
+    for delay, row, valid in zip(delays, delayed, is_known, strict=True):
+        samples = delay / m.recording.period
+        for begin, end in m.recording.segments:
+            row[begin:end] = later(torque[begin:end], samples)
+            valid[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
+    pairs = zip((torque - delayed) * is_known, m.rate(delayed) * is_known, strict=True)
+    return dict(zip(delays, pairs, strict=True))
 
 
 def filtered_columns(o: Observation, columns: Sequence[Array], at_once: int = 8) -> Array:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.motion import TURNS
-from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
-from bayesfric.diagnostics.regression import Effect, Replicate, regression_of
+from bayesfric.diagnostics.regression import Finding, Replicate, regression_of
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
+from bayesfric.diagnostics.statistics import LEAST_OUTPUTS, LONGEST
 from bayesfric.estimates.input_error import few_threads
+from bayesfric.estimates.point_estimate import HALF as MOVES
 from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES
@@ -24,48 +25,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Reason = Literal["few", "still"]
-Severity = Literal["note", "doubt"]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """An effect in the recordings that replicates of a right model do not show."""
-
-    kind: str  # key of ``words.toml``
-    severity: Severity  # doubt if it moves a reported number by more than half its interval
-    statistic: float  # standard normal score among the replicates
-    p: float  # share of replicates with as large a statistic of any candidate
-    shape: str = ""  # such as a speed or a frequency; empty if the kind has one shape
-    recording: str = ""  # empty for all
-    span: tuple[float, float] | None = None  # s; None for the whole recording
-    share: float = 0.0  # rms of its torque over the rms of all torque
-    rivals: tuple[str, ...] = ()  # kinds that are collinear with it on this motion
-    # shift of each parameter in its standard deviations, the largest first
-    moves: Mapping[str, float] = field(default_factory=dict)
-    setting: str = ""  # line of a configuration that adds the term; empty if there is none
-    physical: bool = True  # whether the estimated sign is possible for that term
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters that it moves, the largest shift first."""
-        return tuple(self.moves)
-
-    @property
-    def hint(self) -> str:
-        """The setting, if the sign allows it."""
-        return self.setting if self.physical else ""
-
-    @property
-    def applicable(self) -> bool:
-        """Whether the setting may be applied automatically; a delay only without rivals."""
-        return bool(self.hint) and not (self.kind in ("delay", "target_delay") and self.rivals)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of ``summary.json``."""
-        fields = {name: value for name, value in vars(self).items() if name != "setting"}
-        span = None if self.span is None else list(self.span)
-        lists = {"parameters": list(self.parameters), "rivals": list(self.rivals), "span": span}
-        return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
 @dataclass(frozen=True)
@@ -178,12 +137,12 @@ def of_recording(name: str) -> bool:
     return name in BY_NAME and BY_NAME[name].of_recording
 
 
-def finding_of(chain: Joint, effect: Effect, sharper: float = 1.0) -> Finding:
-    """Convert an effect to a finding, its shifts in standard deviations ``sharper`` times as many.
+def finding_of(chain: Joint, effect: Finding, sharper: float = 1.0) -> Finding:
+    """Complete a fitted effect, its shifts in standard deviations ``sharper`` times as many.
 
     An effect with an impossible sign is named after a rival that may have it, if there is one.
     """
-    kind, rivals, shape = BY_NAME.get(effect.kind), effect.collinear, effect.shape
+    kind, rivals, shape = BY_NAME.get(effect.kind), effect.rivals, effect.shape
     negative = kind is not None and kind.positive and bool((effect.coefficients < 0.0).any())
     if kind is not None and negative and kind.other:
         kind, negative = replace(kind, choice=kind.other), False
@@ -194,19 +153,15 @@ def finding_of(chain: Joint, effect: Effect, sharper: float = 1.0) -> Finding:
         rivals = (effect.kind, *(name for name in rivals if name != kind.name))
     moves = {name: sharper * x for name, x in effect.moves.items()}
     moves = {name: x for name, x in moves.items() if abs(x) > MOVES}
-    return Finding(
+    return replace(
+        effect,
         kind=effect.kind if kind is None else kind.name,
         severity="doubt" if moves or (kind and kind.of_recording) else "note",
-        statistic=effect.z,
-        p=effect.p,
         shape=shape,
-        share=effect.share,
         rivals=rivals,
         moves=dict(sorted(moves.items(), key=lambda item: -abs(item[1]))),
         setting="" if kind is None else setting_of(chain, kind, shape),
         physical=not negative,
-        recording=effect.recording,
-        span=effect.span,
     )
 
 

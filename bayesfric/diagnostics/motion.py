@@ -13,7 +13,7 @@ from scipy import fft
 
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.quantities import Sizes, State
+from bayesfric.mechanism.quantities import State, TypicalSizes
 from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.filters import derivative, lowpass
 from bayesfric.recordings.measurement import Measurement
@@ -221,10 +221,10 @@ class MotionSignals:
         return State(o.q, o.qd, o.qdd, self.direction, o.stamps, transmitted, still)
 
     @property
-    def sizes(self) -> Sizes:
+    def sizes(self) -> TypicalSizes:
         """Scales of grids of shapes: torque's rms, speed and duration."""
         scales = self.scales
-        return Sizes(scales.torque, scales.speed, 1.0, 1.0, 1.0, scales.duration)
+        return TypicalSizes(scales.torque, scales.speed, 1.0, duration=scales.duration)
 
 
 # Hidden states: their torque depends on the past motion, not only on position, speed, acceleration.

@@ -18,17 +18,11 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import ndtri
 
-from bayesfric.diagnostics import policy
-from bayesfric.diagnostics.autocorrelation import (
-    WHITE,
-    Autocorrelation,
-    Layout,
-    choose_autocorrelation,
-)
 from bayesfric.diagnostics.candidates import (
     BY_NAME,
     KINDS,
@@ -36,29 +30,36 @@ from bayesfric.diagnostics.candidates import (
     columns_along,
     filtered_columns,
 )
-from bayesfric.diagnostics.disturbances import (
-    DELAYS,
-    SINUSOID,
-    TRANSIENT,
-    Scan,
-    sinusoid_columns,
-    transient_columns,
-    tune_frequency,
-)
 from bayesfric.diagnostics.motion import MotionSignals, Scales, scales_of
 from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
-    HALF,
+    DELAYS,
+    FALSE_ALARMS,
+    LEAST_OUTPUTS,
+    MAX_EFFECTS,
+    MEAN_AS_SPREAD,
     OPEN,
+    REPLICATES,
+    SINUSOID,
+    TESTABLE,
+    TRANSIENT,
+    WHITE,
+    Autocorrelation,
     Columns,
     Key,
+    Layout,
+    Scan,
     basis_of,
+    candidate_groups,
+    choose_autocorrelation,
     mean_square,
     project_out,
     score_candidates,
+    sinusoid_columns,
     standard_normal_scores,
-    testable,
+    transient_columns,
     truncated_least_squares,
+    tune_frequency,
     unit_scores,
 )
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
@@ -70,34 +71,59 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.source import Processing
 
+Severity = Literal["note", "doubt"]
+
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Effect:
-    """One candidate of forward selection."""
+@dataclass(frozen=True)
+class Finding:
+    """An effect in the recordings that replicates of a right model do not show."""
 
-    kind: str
-    shape: str
-    columns: Sequence[int]  # indices
-    significant: bool
-    # statistic as a standard normal, and p-value (1 + k) / (n + 1): k of n replicates have a
-    # candidate with as large a statistic
-    z: float
-    p: float
-    # largest z of all candidates, and its critical value
-    largest: float
-    limit: float
-    scan: Scan | None = None  # place of a disturbance or far delay
-    share: float = 0.0  # rms of its torque over that of all torque
-    # recording and seconds of a transient; the recording also of an effect in one recording alone
-    recording: str = ""
-    span: tuple[float, float] | None = None
-    coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    kind: str  # key of ``words.toml``
+    severity: Severity  # doubt if it moves a reported number by more than half its interval
+    statistic: float  # standard normal score among the replicates
+    p: float  # (1 + k) / (n + 1): k of n replicates have a candidate with as large a statistic
+    shape: str = ""  # such as a speed or a frequency; empty if the kind has one shape
+    recording: str = ""  # empty for all
+    span: tuple[float, float] | None = None  # s; None for the whole recording
+    share: float = 0.0  # rms of its torque over the rms of all torque
+    rivals: tuple[str, ...] = ()  # kinds that explain as much or are collinear on this motion
     # shift of each identified parameter or derived quantity in its standard deviations
     moves: Mapping[str, float] = field(default_factory=dict)
-    collinear: tuple[str, ...] = ()  # kinds that explain as much or are collinear
+    setting: str = ""  # line of a configuration that adds the term; empty if there is none
+    physical: bool = True  # whether the estimated sign is possible for that term
+    # of the selection: whether the statistic is above its critical value
+    significant: bool = field(default=True, repr=False)
+    largest: float = field(default=0.0, repr=False)  # statistic of all candidates
+    limit: float = field(default=0.0, repr=False)  # its critical value
+    columns: Sequence[int] = field(default=(), repr=False)  # indices
+    coefficients: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
+    scan: Scan | None = field(default=None, repr=False)  # place of a disturbance or far delay
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that it moves, the largest shift first."""
+        return tuple(self.moves)
+
+    @property
+    def hint(self) -> str:
+        """The setting, if the sign allows it."""
+        return self.setting if self.physical else ""
+
+    @property
+    def applicable(self) -> bool:
+        """Whether the setting may be applied automatically; a delay only without rivals."""
+        return bool(self.hint) and not (self.kind in ("delay", "target_delay") and self.rivals)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of ``summary.json``."""
+        names = [name for name, field_ in self.__dataclass_fields__.items() if field_.repr]
+        fields = {name: getattr(self, name) for name in names if name != "setting"}
+        span = None if self.span is None else list(self.span)
+        lists = {"parameters": list(self.parameters), "rivals": list(self.rivals), "span": span}
+        return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +150,10 @@ class Regression:
     noise_seed: np.random.SeedSequence
     smoothed: str = ""  # shape of the low-pass before logging
     noise: Autocorrelation = field(init=False)
-    included: list[Effect] = field(init=False, default_factory=list)
+    included: list[Finding] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        self.groups = testable(self.data)
+        self.groups = candidate_groups(self.data)
         self._clean = [replicate.residual for replicate in self.replicates]
         self._choose_noise()
 
@@ -184,7 +210,7 @@ class Regression:
         """Kinds that are collinear with the model's own columns on this motion."""
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
-    def effects(self, most: int = policy.MAX_EFFECTS) -> list[Effect]:
+    def effects(self, most: int = MAX_EFFECTS) -> list[Finding]:
         """Forward-select missing effects; the last one may be the best that is not significant."""
         effects = [effect for effect, _ in self._forward_selection(most)]
         self.included = [effect for effect in effects if effect.significant]
@@ -192,7 +218,7 @@ class Regression:
 
     def _forward_selection(
         self, most: int, *, for_noise: bool = False
-    ) -> Iterator[tuple[Effect, list[int]]]:
+    ) -> Iterator[tuple[Finding, list[int]]]:
         """Include one candidate after the other; yield each with the columns included before it.
 
         With ``for_noise`` the noise is white, and only the selected columns are included. It ends
@@ -211,7 +237,7 @@ class Regression:
                 same_kind = [i for i, k in keys if k.kind == effect.kind and not k.delay]
                 extra += [i for i in same_kind if i not in extra]
 
-    def _select(self, extra: Sequence[int], for_noise: bool) -> tuple[Effect, Array]:
+    def _select(self, extra: Sequence[int], for_noise: bool) -> tuple[Finding, Array]:
         """Select the significant candidate with the largest penalised gain, searches last.
 
         A transient is selected only if nothing else is significant, a fault of the recording only
@@ -226,19 +252,20 @@ class Regression:
         recorded = score_candidates(self.data, *arguments)
         simulated = [score_candidates(replicate, *arguments) for replicate in self.replicates]
         z, null = standard_normal_scores(recorded, simulated)
+        _, gains, scans = recorded
         largest = null.max(axis=1)
-        limit = float(np.quantile(largest, 1.0 - policy.FALSE_ALARMS, method="higher"))
+        limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
         # few replicates give it to 0.3: at least that of as many independent normals (Bonferroni)
-        limit = max(limit, -float(ndtri(0.5 * policy.FALSE_ALARMS / z.size)))
+        limit = max(limit, -float(ndtri(0.5 * FALSE_ALARMS / z.size)))
         # a shape, or the place of a search, is one more parameter
         shapes = Counter(key.kind for key, _ in self.groups)
         parameters = [len(columns) - 1 + (shapes[key.kind] > 1) for key, columns in self.groups]
-        gains = np.append(recorded.gains, [scan.peak for scan in recorded.scans])
+        gains = np.append(gains, [scan.peak for scan in scans])
         worth = gains - np.array([*parameters, 2, 1, 1]) * math.log(self.data.residual.size)
         allowed = z > limit
-        kinds = [*(key.kind for key, _ in self.groups), *(scan.kind for scan in recorded.scans)]
+        kinds = [*(key.kind for key, _ in self.groups), *(scan.kind for scan in scans)]
         if for_noise:  # the noise's drift, of up to 1 Hz, is not known yet
-            drift = {TRANSIENT, "drift", *([SINUSOID] if recorded.scans[0].place < 1.0 else [])}
+            drift = {TRANSIENT, "drift", *([SINUSOID] if scans[0].place < 1.0 else [])}
             allowed &= [kind not in drift for kind in kinds]
         transient = np.array([kind == TRANSIENT for kind in kinds])
         if (allowed & ~transient).any():
@@ -258,15 +285,22 @@ class Regression:
         significant = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if significant else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
-        statistics = significant, float(z[best]), p, float(z.max()), limit
+        statistic = float(z[best]), p
+        selected: dict[str, Any] = {
+            "significant": significant,
+            "largest": float(z.max()),
+            "limit": limit,
+        }
         if best < len(self.groups):
             key, columns = self.groups[best]
-            return Effect(key.kind, key.shape, columns, *statistics), worth
-        scan = self._tuned(recorded.scans[best - len(self.groups)], extra)
+            selected |= {"shape": key.shape, "columns": columns}
+            return Finding(key.kind, "note", *statistic, **selected), worth
+        scan = self._tuned(scans[best - len(self.groups)], extra)
         columns = self._scan_columns(scan) if significant or not for_noise else []
-        return Effect(scan.kind, self._scan_shape(scan), columns, *statistics, scan), worth
+        selected |= {"shape": self._scan_shape(scan), "columns": columns, "scan": scan}
+        return Finding(scan.kind, "note", *statistic, **selected), worth
 
-    def _fitted(self, effect: Effect, extra: Sequence[int], worth: Array) -> Effect:
+    def _fitted(self, effect: Finding, extra: Sequence[int], worth: Array) -> Finding:
         """Fit a selected candidate: its share and place, shifts of parameters, collinear kinds."""
         d, split, scan = self.sizes.size, self.sizes.size + len(extra), effect.scan
         before, *_ = self._fit(extra)
@@ -292,7 +326,7 @@ class Regression:
             span=span,
             coefficients=after[split:],
             moves=moves,
-            collinear=tuple(self._collinear(effect, extra, worth)) if effect.significant else (),
+            rivals=tuple(self._collinear(effect, extra, worth)) if effect.significant else (),
         )
 
     def _fit(self, columns: Sequence[int]) -> tuple[Array, Array, Array]:
@@ -305,8 +339,18 @@ class Regression:
         torque = self.data.others[:, columns] @ coefficients
         return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
 
-    def _collinear(self, effect: Effect, extra: Sequence[int], worth: Array) -> Iterator[str]:
-        """List other kinds that explain as much or are collinear; none for disturbances."""
+    def _collinear(
+        self,
+        effect: Finding,
+        extra: Sequence[int],
+        worth: Array,
+        collinear_from: float = 0.95,
+        better: float = 10.0,
+    ) -> Iterator[str]:
+        """List other kinds that explain as much or are collinear; none for disturbances.
+
+        That is from a cosine on; and a gain ``better`` by 10 is a factor of 150 in likelihood.
+        """
         if effect.kind in (SINUSOID, TRANSIENT):
             return
         white = self.data.whitened
@@ -321,8 +365,8 @@ class Regression:
             if key.kind in yielded or BY_NAME[key.kind].of_recording:
                 continue
             cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
-            collinear = cosines.size > 0 and float(cosines.min()) > policy.COLLINEAR
-            if gain > best - policy.BETTER or (collinear and gain > 0.5 * best):
+            collinear = cosines.size > 0 and float(cosines.min()) > collinear_from
+            if gain > best - better or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind
 
@@ -388,7 +432,7 @@ class Regression:
         remainder = project_out(base, project_out(base, white))
         residual = project_out(base, d.residual)
         unit, total = np.linalg.norm(remainder, axis=0), np.linalg.norm(white, axis=0)
-        identified = unit > policy.TESTABLE * total
+        identified = unit > TESTABLE * total
         groups = [(k.kind, tuple(i)) for k, i in self.groups if not BY_NAME[k.kind].least]
         groups += [(e.kind, tuple(e.columns)) for e in self.included if e.scan is not None]
         # shapes between those of a grid
@@ -412,7 +456,7 @@ class Regression:
             scores=remainder.T @ residual - mean * unit,
             column_errors=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
             power=float(residual @ residual),
-            spread=np.hypot(np.maximum(spread, 1.0), HALF * bias),
+            spread=np.hypot(np.maximum(spread, 1.0), MEAN_AS_SPREAD * bias),
             free=residual.size - base.shape[1],
         )
 
@@ -425,7 +469,7 @@ def regression_of(
     values: Array,
     known: Collection[str] = (),
     seed: int = 0,
-    number: int = policy.REPLICATES,
+    number: int = REPLICATES,
 ) -> tuple[Regression, tuple[Replicate, ...]]:
     """Set up the regression at parameters ``(n_parameters,)``, and simulate its replicates."""
     draws, others, noise = np.random.SeedSequence(seed).spawn(3)
@@ -457,7 +501,7 @@ def regression_of(
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
-        if len(usable) == len(repeated) and outputs >= len(chain.names) + policy.LEAST_OUTPUTS:
+        if len(usable) == len(repeated) and outputs >= len(chain.names) + LEAST_OUTPUTS:
             simulated.append((vector, columns_at(vector, usable)))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")

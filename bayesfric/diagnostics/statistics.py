@@ -1,36 +1,313 @@
-"""Statistics of candidate effects: joint t of each, and its score among the replicates.
+"""Noise, searches for disturbances, and the statistics of candidate effects among replicates.
 
-Everything is least squares of a residual on columns after the model's own columns, the derivatives
-by its parameters, are projected out of both (Frisch and Waugh, Econometrica 1, 1933).
+Outputs come in runs with gaps between them. A model that restarts at every gap cannot represent
+slow noise, which then looks like a drift or a disturbance: so a Kalman filter predicts across gaps
+(Jones, Technometrics 22 (1980) 389-395), and cosines of up to 1 Hz represent 1/f noise.
+
+A search over places (of a sinusoidal or transient disturbance, or a far delay) is one candidate:
+its statistic is the maximum over all places, and the maxima of the replicates are its null
+distribution. Everything else is least squares of a residual on columns after the model's own
+columns, the derivatives by its parameters, are projected out of both (Frisch and Waugh,
+Econometrica 1, 1933). ``studies/diagnostics`` measured the thresholds.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import betainc, ndtri_exp
 
-from bayesfric.diagnostics.autocorrelation import WHITE, Autocorrelation, Layout
-from bayesfric.diagnostics.disturbances import (
-    DELAY,
-    Scan,
-    sinusoidal_disturbance,
-    transient_disturbance,
-)
-from bayesfric.diagnostics.policy import TESTABLE
-from bayesfric.recordings.arrays import Array
+from bayesfric.estimates import autoregression as ar
+from bayesfric.estimates.autoregression import follows
+from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.observation import Observation
 
+# Share of recordings with a right model in which anything is reported as missing.
+FALSE_ALARMS = 0.05
+# Simulated replicates; and samples of all recordings that are evaluated in full. Longer recordings
+# are subsampled to half as many, so that a fit or check ends in reasonable time.
+REPLICATES, LONGEST = 24, 100_000
+# Outputs that a recording or replicate must have beyond the model's parameters.
+LEAST_OUTPUTS = 20
+# Share of a candidate's columns that must be left after projecting out the model's own columns;
+# below it, this motion does not identify the candidate.
+TESTABLE = 0.015
+# Largest number of effects included one after the other.
+MAX_EFFECTS = 4
 # Shares of the largest eigenvalue of a Gram matrix below which a direction is rounding, or
 # unidentified.
 _ROUNDING, OPEN = 1e-9, 1e-7
 # Share of the replicates' mean that counts as spread: the recording may have it or not.
-HALF = 0.5
-# Correlation from which two columns are equal, and eigenvalue below which several are collinear.
-_SAME, _SINGULAR = 0.9999, 1e-4
+MEAN_AS_SPREAD = 0.5
+SINUSOID, TRANSIENT, DELAY, TARGET_DELAY = "tone", "push", "delay", "target_delay"
+# Delay of the position, or of a target that the torque is computed from.
+DELAYS = DELAY, TARGET_DELAY
+
+
+# Autocorrelated noise
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where outputs lie in time, recording by recording."""
+
+    # (M - 1,) of each recording: whether an output is followed by the next one step later
+    runs: tuple[Flags, ...]
+    at: tuple[Index, ...]  # (M,) of each: whole steps since its first output
+    stamps: tuple[Array, ...]  # (M,) of each, s
+
+    @classmethod
+    def of(cls, observations: Sequence[Observation]) -> Layout:
+        """Read it from preprocessed recordings."""
+        steps = [np.round((o.time - o.time[:1].sum()) / o.period) for o in observations]
+        return cls(
+            tuple(follows(o) for o in observations),
+            tuple(step.astype(np.int64) for step in steps),
+            tuple(o.time for o in observations),
+        )
+
+    def split(self, x: Array) -> list[Array]:
+        """Split rows ``(n, ...)`` by recording."""
+        return np.split(x, np.cumsum([a.size for a in self.at])[:-1])
+
+    @cached_property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return sum(a.size for a in self.at)
+
+    @cached_property
+    def grid(self) -> tuple[float, float, int, Index]:
+        """Grid of the periodogram: step and longest span in s, size, and index ``(n,)`` of outputs.
+
+        Each recording has a part of its own, of ``size``.
+        """
+        steps = [float(np.median(np.diff(t))) for t in self.stamps if t.size > 1]
+        step, span = float(np.median(steps)), max(float(np.ptp(t)) for t in self.stamps)
+        size = 1 << math.ceil(math.log2(2.0 * span / step + 2.0))
+        places = [
+            np.round((t - t[0]) / step).astype(np.int64) + k * size
+            for k, t in enumerate(self.stamps)
+        ]
+        return step, span, size, np.concatenate(places)
+
+    @cached_property
+    def members(self) -> list[Array]:
+        """Indicator ``(n,)`` of each recording's outputs."""
+        number = np.repeat(np.arange(len(self.at)), [a.size for a in self.at])
+        return [(number == k).astype(np.float64) for k in range(len(self.at))]
+
+    @cached_property
+    def drift_cosines(self) -> list[Array]:
+        """Cosines ``(M, K)`` of each recording, ``cos(pi k (t - t0) / S) / sqrt(k)``, S its span.
+
+        With independent normal coefficients of equal variance they are 1/f noise of up to 1 Hz. One
+        for eight outputs at most, and sixty.
+        """
+        columns = []
+        for t in self.stamps:
+            span = float(np.ptp(t))
+            count = int(min(max(2.0 * span, 4), t.size / 8, 60))
+            order = np.arange(1, count + 1)
+            phase = np.pi * order * (t - t[0])[:, None] / span
+            columns.append(np.cos(phase) / np.sqrt(order))
+        return columns
+
+
+@dataclass(frozen=True, eq=False)
+class Autocorrelation:
+    """Autocorrelation of noise: autoregressive, plus low-frequency drift."""
+
+    partial: Array  # (p,) partial autocorrelations, each between -1 and 1
+    drift: float = 0.0  # standard deviation of its slowest cosine over the innovations'
+
+    def whitened(self, x: Array, layout: Layout) -> Array:
+        """Whiten columns ``(n, m)``.
+
+        With W the whitened cosines times their size, the drift is whitened by ``(I + W
+        W')^(-1/2)``, which is ``I - W (R + R^2)^-1 W'`` with ``R = (I + W' W)^(1/2)``.
+        """
+        out, innovations = [], ar.across_gaps(self.partial)
+        for part, at, cosines in zip(layout.split(x), layout.at, layout.drift_cosines, strict=True):
+            white = innovations(part, at)[0]
+            if self.drift:
+                wave = innovations(cosines, at)[0] * self.drift
+                size, vectors = np.linalg.eigh(wave.T @ wave)
+                root, turned = np.sqrt(1.0 + size)[:, None], wave @ vectors
+                white = white - turned @ ((turned.T @ white) / (root + root**2))
+            out.append(white)
+        return np.concatenate(out)
+
+    def drawn(self, layout: Layout, rng: np.random.Generator) -> Array:
+        """Draw one series ``(n,)`` with unit innovations."""
+        parts = []
+        for at in layout.at:
+            joined = np.ones(int(at[-1]), dtype=np.bool_)
+            parts.append(ar.simulated(self.partial, joined, 1, rng)[0][at])
+        x = np.concatenate(parts)
+        if self.drift:
+            series = [
+                cosines @ rng.standard_normal(cosines.shape[1]) for cosines in layout.drift_cosines
+            ]
+            x = x + self.drift * np.concatenate(series)
+        return x
+
+    def variance(self, layout: Layout) -> float:
+        """Mean variance of an output over the innovations' variance."""
+        drift = sum(float((cosines**2).sum()) for cosines in layout.drift_cosines)
+        variance = float(ar.variances(self.partial[None])[0][0])
+        return variance + self.drift**2 * drift / layout.outputs
+
+
+WHITE = Autocorrelation(np.zeros(0))
+
+
+def choose_autocorrelation(
+    left: Array,
+    layout: Layout,
+    sizes: Sequence[float] = (0.0, 0.15, 0.45, 1.35, 4.0),
+    outputs: int = 20,
+) -> tuple[Autocorrelation, float]:
+    """Choose order and drift of the noise of a residual ``(n,)`` by BIC, which is returned, too.
+
+    ``sizes`` of the drift are tried, over the innovations' standard deviation; each order needs
+    ``outputs``. For each size the order is chosen by ``n sum(log(1 - partial^2)) + p log(n)``;
+    sizes are compared by the exact density, ``n log(variance) + log det + p log(n)`` (Schwarz,
+    Annals of Statistics 6 (1978) 461-464).
+    """
+    n, best, least = left.size, WHITE, math.inf
+    for size in sizes if n > 2 * outputs else sizes[:1]:
+        rest = left
+        if size:  # the order describes what the drift leaves
+            rest = left - _expected_drift(left, best.partial, size, layout)[0]
+        order = min(6, n // outputs)
+        partial = ar.burg(layout.split(rest), layout.runs, order)
+        costs = n * np.cumsum(np.log1p(-(partial**2))) + np.arange(1, order + 1) * math.log(n)
+        partial = partial[: int(np.argmin(np.append(0.0, costs)))]
+        _, power, cost = _expected_drift(left, partial, size, layout)
+        bic = n * math.log(max(power, 1e-300) / n) + cost + partial.size * math.log(n)
+        if bic < least:
+            least, best = bic, Autocorrelation(partial, size)
+        elif best.drift:
+            break
+    return best, least
+
+
+def _expected_drift(
+    left: Array, partial: Array, size: float, layout: Layout
+) -> tuple[Array, float, float]:
+    """Return the expected drift ``(n,)``, the power it leaves, and the log determinant.
+
+    It is a ridge regression on whitened cosines.
+    """
+    drift, power, logs, innovations = [], 0.0, 0.0, ar.across_gaps(partial)
+    for part, at, cosines in zip(layout.split(left), layout.at, layout.drift_cosines, strict=True):
+        white, log = innovations(np.column_stack([cosines * size, part] if size else [part]), at)
+        wave, y = white[:, :-1], white[:, -1]
+        inner = wave.T @ wave + np.eye(wave.shape[1])
+        scores = wave.T @ y
+        shares = np.linalg.solve(inner, scores)
+        if size:
+            drift.append(size * (cosines @ shares))
+        power += float(y @ y - scores @ shares)
+        logs += log + float(np.linalg.slogdet(inner)[1])
+    return np.concatenate(drift or [left]), power, logs
+
+
+# Searches for sinusoidal and transient disturbances
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Maximum of one search."""
+
+    kind: str  # SINUSOID, TRANSIENT, or one of :data:`DELAYS`
+    # reduction of the residual's sum of squares over the residual's variance, about twice the rise
+    # of the log-likelihood; for sinusoids and delays the variance is that after the fit
+    peak: float
+    place: float  # Hz of a sinusoid, s of a transient or delay
+    recording: int = 0  # index of the recording with the transient
+
+
+def sinusoidal_disturbance(y: Array, layout: Layout) -> Scan:
+    """Find the largest peak of the periodogram of a whitened residual ``(n,)``.
+
+    The power P of a frequency is chi squared with two degrees of freedom in white noise; the gain
+    is ``P / (1 - P/n)``, which orders peaks as Fisher's test does (Proceedings of the Royal Society
+    A 125 (1929) 54-59). Frequencies are from two periods of the recording to 0.45 of the rate.
+    """
+    step, span, size, places = layout.grid
+    rows = np.bincount(places, y, len(layout.at) * size).reshape(-1, size)
+    power = (np.abs(np.fft.rfft(rows)) ** 2).sum(axis=0)
+    f = np.fft.rfftfreq(size, step)
+    inside = (f >= 2.0 / span) & (f <= 0.45 / step)
+    power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))
+    power = power / np.maximum(1.0 - power / y.size, 1e-6)
+    i = int(np.argmax(power))
+    return Scan(SINUSOID, float(power[i]), float(f[i]))
+
+
+def transient_disturbance(y: Array, layout: Layout, width: float) -> Scan:
+    """Find the window in which the mean of a whitened residual ``(n,)`` deviates most.
+
+    It is three widths long, and has at least three outputs.
+    """
+    best = Scan(TRANSIENT, 0.0, 0.0)
+    variance = float(np.mean(y**2))
+    for k, (t, x) in enumerate(zip(layout.stamps, layout.split(y), strict=True)):
+        centres = np.arange(t[0] + width, t[-1], width)
+        first = np.searchsorted(t, centres - 1.5 * width)
+        last = np.searchsorted(t, centres + 1.5 * width)
+        sums = np.concatenate([[0.0], np.cumsum(x)])
+        counts = last - first
+        gains = np.where(counts >= 3, (sums[last] - sums[first]) ** 2, 0.0)
+        gains /= np.maximum(counts, 1) * variance
+        if gains.size and gains.max() > best.peak:
+            i = int(np.argmax(gains))
+            best = Scan(TRANSIENT, float(gains[i]), float(centres[i]), k)
+    return best
+
+
+def sinusoid_columns(layout: Layout, hertz: float) -> Array:
+    """Return sine and cosine for each of K recordings, ``(n, 2 K)``."""
+    angle = 2.0 * np.pi * hertz * np.concatenate(layout.stamps)
+    members = layout.members
+    return np.stack(
+        [wave(angle) * member for member in members for wave in (np.sin, np.cos)], axis=1
+    )
+
+
+def transient_columns(layout: Layout, scan: Scan, width: float) -> Array:
+    """Return five bell curves ``(n, 5)`` around a transient, spaced by their sd ``width``, s."""
+    t = np.concatenate(layout.stamps)[:, None]
+    bells = np.exp(-0.5 * ((t - scan.place) / width - np.arange(-2, 3)) ** 2)
+    return np.asarray(bells * layout.members[scan.recording][:, None])
+
+
+def tune_frequency(
+    y: Array, layout: Layout, hertz: float, project: Callable[[Array], Array]
+) -> float:
+    """Refine a sinusoid's frequency so that it leaves least of a residual ``(n,)``.
+
+    It is less than a period of the longest recording off. ``project`` whitens columns and projects
+    the model's out.
+    """
+    period = max(float(np.ptp(stamps)) for stamps in layout.stamps)
+
+    def power(f: float) -> float:
+        x = project(sinusoid_columns(layout, f))
+        return float(((y - x @ np.linalg.lstsq(x, y, rcond=1e-9)[0]) ** 2).sum())
+
+    bounds = hertz - 0.8 / period, hertz + 0.8 / period
+    best = minimize_scalar(power, bounds=bounds, method="bounded", options={"xatol": 1e-5 / period})
+    return float(best.x)
+
+
+# Columns of candidates
 
 
 @dataclass(frozen=True)
@@ -81,8 +358,11 @@ class Columns:
         return project_out(basis_of(self.with_candidates(extra)), self.residual)
 
 
-def testable(d: Columns) -> list[tuple[Key, list[int]]]:
-    """Group columns by candidate; drop those collinear with the model's or each other."""
+def candidate_groups(d: Columns, equal: float = 0.9999) -> list[tuple[Key, list[int]]]:
+    """Group columns by candidate; drop those collinear with the model's or each other.
+
+    Columns of a correlation above ``equal`` are the same.
+    """
     groups: dict[tuple[str, str], list[int]] = {}
     for i, key in enumerate(d.keys):
         if not (key.nuisance or key.delay):
@@ -104,7 +384,7 @@ def testable(d: Columns) -> list[tuple[Key, list[int]]]:
             remainder = project_out(base, d.others[:, independent[0]])
             remainder = remainder / np.linalg.norm(remainder)
             # one column of several may equal another candidate
-            if len(members) > 1 and any(abs(remainder @ x) > _SAME for x in singles):
+            if len(members) > 1 and any(abs(remainder @ x) > equal for x in singles):
                 continue
             singles.append(remainder)
         candidates.append((d.keys[independent[0]], independent))
@@ -157,23 +437,24 @@ def truncated_least_squares(x: Array, y: Array, size: Array) -> tuple[Array, Arr
     return solution * size, variance * inverse * np.outer(size, size), directions
 
 
-@dataclass(frozen=True, eq=False)
-class CandidateScores:
-    """Statistics of one recording or replicate."""
-
-    t: list[Array]  # joint t ``(k,)`` of each candidate's k coefficients; NaN if not identified
-    gains: Array  # (m,) gain of each in chi squared
-    # largest sinusoidal and transient disturbance, and far delay
-    scans: tuple[Scan, ...]
+# Statistics of one recording or replicate: joint t ``(k,)`` of each candidate's k coefficients, NaN
+# if not identified; gains ``(m,)`` in chi squared; and the largest sinusoidal and transient
+# disturbance and far delay.
+CandidateScores = tuple[list[Array], Array, tuple[Scan, ...]]
 
 
 def score_candidates(
-    d: Columns, groups: Sequence[tuple[Key, list[int]]], extra: Sequence[int], width: float
+    d: Columns,
+    groups: Sequence[tuple[Key, list[int]]],
+    extra: Sequence[int],
+    width: float,
+    singular: float = 1e-4,
 ) -> CandidateScores:
     """Test every candidate in addition to the model's own columns and those already included.
 
     With whitened columns z and residual y, the model's own projected out, ``b = (z'z)^-1 z'y``; t
     is b over its standard deviations, and the gain ``b'z'y`` over the variance of the residual.
+    Columns with an eigenvalue below ``singular`` are collinear.
     """
     white = d.whitened
     basis = basis_of(white.with_candidates(extra))
@@ -186,10 +467,8 @@ def score_candidates(
     identified = remaining > TESTABLE * size
     unit = np.where(remaining > 0.0, remaining, 1.0)
     slopes = (z.T @ y) / unit
-    t_values, gains = (
-        [np.full(len(members), np.nan) for _, members in groups],
-        np.zeros(len(groups)),
-    )
+    t_values = [np.full(len(members), np.nan) for _, members in groups]
+    gains = np.zeros(len(groups))
     columns = np.ascontiguousarray(z.T)
     for k in {len(members) for _, members in groups}:  # all of one size at once
         same_size = np.array([i for i, (_, members) in enumerate(groups) if len(members) == k])
@@ -199,7 +478,7 @@ def score_candidates(
             gram = columns[members] @ columns[members].mT
             gram /= unit[members][:, :, None] * unit[members][:, None, :]
         least, axes = np.linalg.eigh(gram)
-        solvable = identified[members].all(axis=1) & (least[:, 0] >= _SINGULAR)
+        solvable = identified[members].all(axis=1) & (least[:, 0] >= singular)
         inverse = (axes[solvable] / least[solvable][:, None]) @ axes[solvable].mT
         slope = slopes[members[solvable]]
         b = np.einsum("gij,gj->gi", inverse, slope)
@@ -209,11 +488,8 @@ def score_candidates(
         gains[same_size[solvable]] = explained / variance
         for i, t in zip(same_size[solvable], b / np.sqrt(spread), strict=True):
             t_values[i] = t
-    return CandidateScores(
-        t_values,
-        gains,
-        (sinusoidal_disturbance(y, d.layout), transient_disturbance(y, d.layout, width), delay),
-    )
+    scans = sinusoidal_disturbance(y, d.layout), transient_disturbance(y, d.layout, width), delay
+    return t_values, gains, scans
 
 
 def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
@@ -245,15 +521,15 @@ def standard_normal_scores(
     search is assumed to be Gumbel distributed, with the replicates' mean and standard deviation.
     Returns scores ``(m,)`` of the recording and ``(n, m)`` of the replicates.
     """
-    n, m = len(others), len(recorded.t)
-    n_scans = len(recorded.scans)
-    z, null = np.zeros(m + n_scans), np.zeros((n, m + n_scans))
-    for i, x in enumerate(recorded.t):
-        t = np.array([other.t[i] for other in others])
+    recorded_t, _, scans = recorded
+    n, m = len(others), len(recorded_t)
+    z, null = np.zeros(m + len(scans)), np.zeros((n, m + len(scans)))
+    for i, x in enumerate(recorded_t):
+        t = np.array([other_t[i] for other_t, *_ in others])
         if np.isnan(x).any() or np.isnan(t).any():
             continue
         mean, cov = t.mean(axis=0), np.atleast_2d(np.cov(t.T))
-        wide = _shrunk(cov) + HALF**2 * np.outer(mean, mean)
+        wide = _shrunk(cov) + MEAN_AS_SPREAD**2 * np.outer(mean, mean)
         distance = float((x - mean) @ np.linalg.solve(wide, x - mean))
         z[i] = float(_normal(np.array(distance), x.size, n))
         # each replicate is left out of mean and covariance
@@ -262,8 +538,8 @@ def standard_normal_scores(
         covariances = _shrunk(((n - 1) * cov - (n - 1) / n * pairs) / (n - 2))
         h = np.einsum("ij,ijk,ik->i", deviation, np.linalg.inv(covariances), deviation)
         null[:, i] = _normal(h, x.size, n - 1)
-    for i, scan in enumerate(recorded.scans):
-        peaks = np.array([other.scans[i].peak for other in others])
+    for i, scan in enumerate(scans):
+        peaks = np.array([other_scans[i].peak for *_, other_scans in others])
         mean = (peaks.sum() - peaks) / (n - 1)
         sd = np.array([np.delete(peaks, k).std(ddof=1) for k in range(n)])
         # at least a unit of chi squared

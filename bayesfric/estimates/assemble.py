@@ -24,20 +24,20 @@ from bayesfric.recordings.observation import Observation
 
 
 def open_scalings(
-    chain: Joint, knowledge: Knowledge, observations: Sequence[Observation]
+    joint: Joint, knowledge: Knowledge, observations: Sequence[Observation]
 ) -> tuple[Scaling, ...]:
     """List the scalings that no known load or parameter fixes (section 4.2).
 
     The same known mass in all recordings counts as leg, and a known zero times any factor is zero:
     neither fixes a scale.
     """
-    masses = {o.inputs.load(chain.load.motion) for o in observations}
+    masses = {o.inputs.load(joint.load.motion) for o in observations}
     if len(masses) > 1 or any(o.inputs.load_torque is not None for o in observations):
         return ()
     fixed, priors = knowledge.fixed, knowledge.priors
     return tuple(
         scaling
-        for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0)))
+        for scaling in scalings(joint, *next(iter(masses), (0.0, 0.0)))
         if not any(
             name in priors or (name in fixed and fixed[name] + shift != 0.0)
             for name, (shift, _) in scaling.rules.items()
@@ -46,35 +46,35 @@ def open_scalings(
 
 
 def open_directions(
-    chain: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+    joint: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
 ) -> Array:
     """Give the tangents ``(k, d)`` of the open scalings at a vector ``(n_parameters,)``."""
-    columns = [chain.names.index(name) for name in knowledge.free(chain)]
-    tangents = [s.tangent(values)[columns] for s in open_scalings(chain, knowledge, observations)]
+    columns = [joint.names.index(name) for name in knowledge.free(joint)]
+    tangents = [s.tangent(values)[columns] for s in open_scalings(joint, knowledge, observations)]
     return np.array(tangents).reshape(-1, len(columns))
 
 
 def centred(
-    chain: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+    joint: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
 ) -> Array:
     """Move a vector along open scalings to the geometric middle of what gearbox and limits allow.
 
     All of these vectors fit equally well (section 4.2).
     """
-    free = knowledge.free(chain)
-    limits = dict(zip(free, zip(*knowledge.limits(chain), strict=True), strict=True))
-    for scaling in open_scalings(chain, knowledge, observations):
+    free = knowledge.free(joint)
+    limits = dict(zip(free, zip(*knowledge.limits(joint), strict=True), strict=True))
+    for scaling in open_scalings(joint, knowledge, observations):
         low, high = scaling.bounds(values, limits)
         if 0.0 < low < high:
             values = scaling.scaled(values, np.sqrt(low * high))
     return values
 
 
-def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
+def units_of(joint: Joint, free: Sequence[str], values: Array) -> Array:
     """Give the unit change of each free parameter: its value; for mu_1, mu_2 1/alpha, eq. (6)."""
     units = []
-    for p in (chain.parameters[chain.names.index(name)] for name in free):
-        value = float(values[chain.names.index(p.name)])
+    for p in (joint.parameters[joint.names.index(name)] for name in free):
+        value = float(values[joint.names.index(p.name)])
         if (sign := alpha_sign(p)) > 0:
             units.append(1.0 + value)
         elif sign < 0:
@@ -97,7 +97,7 @@ def alpha_sign(p: Parameter) -> int:
 
 
 def assemble(
-    chain: Joint,
+    joint: Joint,
     observations: Sequence[Observation],
     knowledge: Knowledge,
     values: Array,
@@ -109,12 +109,12 @@ def assemble(
     First order: ``sqrt(g' C g)``, gradients ``g`` by central differences. ``information`` leaves
     bounds out: with a parameter on a bound held, others would look far too certain.
     """
-    columns = np.array([chain.names.index(name) for name in knowledge.free(chain)], dtype=np.int64)
+    columns = np.array([joint.names.index(name) for name in knowledge.free(joint)], dtype=np.int64)
     directions = information.directions
     scale = np.zeros(values.size)
     # these also suit parameters that are zero
     scale[columns] = directions.units
-    still_open = open_scalings(chain, knowledge, observations)
+    still_open = open_scalings(joint, knowledge, observations)
 
     def value_of(
         number: tuple[str, str, str, str, float],
@@ -136,13 +136,13 @@ def assemble(
         return EstimatedValue(*number, *sds, kind, gauge_free, bound, span)
 
     numbers: list[EstimatedValue] = []
-    projection = TotalsProjection(chain, observations)
+    projection = TotalsProjection(joint, observations)
     if projection.names:
-        torque = np.concatenate([filtered_torque(chain, o, values[None])[0] for o in observations])
+        torque = np.concatenate([filtered_torque(joint, o, values[None])[0] for o in observations])
         totals = projection.solve(torque)
-        gradients = projection.solve(torque_jacobian(chain, observations, values, 1e-6 * scale))
+        gradients = projection.solve(torque_jacobian(joint, observations, values, 1e-6 * scale))
         for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True)):
-            if label in chain.names:
+            if label in joint.names:
                 continue  # a parameter, listed as such
             number = label, *projection.describe(name), float(totals[i])
             if projection.open[i]:
@@ -150,11 +150,11 @@ def assemble(
             else:
                 numbers.append(value_of(number, gradients[i], "total"))
 
-    listed, load = {value.name for value in numbers}, typical_load(chain, observations, values)
+    listed, load = {value.name for value in numbers}, typical_load(joint, observations, values)
     moving, k = np.flatnonzero(scale), np.count_nonzero(scale)
     shifts = np.eye(values.size)[moving] * 1e-5 * scale
     vectors = values + np.concatenate([shifts, -shifts, np.zeros((1, values.size))])
-    for q in derive(chain, vectors, load):
+    for q in derive(joint, vectors, load):
         gradient = np.zeros(values.size)
         gradient[moving] = (q.values[:k] - q.values[k : 2 * k]) / (2e-5 * scale[moving])
         if (
@@ -165,15 +165,15 @@ def assemble(
             continue  # a total, undefined here, or a function of fixed values only
 
         def along(x: Array, name: str = q.name) -> Array:
-            return next(d.values for d in derive(chain, x, load) if d.name == name)
+            return next(d.values for d in derive(joint, x, load) if d.name == name)
 
         number = q.name, q.unit, q.symbol, q.meaning, float(q.values[-1])
         numbers.append(value_of(number, gradient, "derived", gauge_free=q.gauge_free, along=along))
 
-    scaled = {name for scaling in scalings(chain) for name in scaling.names}
+    scaled = {name for scaling in scalings(joint) for name in scaling.names}
     open_names = {name for scaling in still_open for name in scaling.names}
     for column in columns.tolist():
-        p = chain.parameters[column]
+        p = joint.parameters[column]
         numbers.append(
             value_of(
                 (p.name, p.unit, p.symbol, p.meaning, float(values[column])),
@@ -212,7 +212,7 @@ def bounds_met(
 
 
 def collinear_losses(
-    chain: Joint, estimate: Estimate, known: Collection[str], *, share: float = 0.5
+    joint: Joint, estimate: Estimate, known: Collection[str], *, share: float = 0.5
 ) -> tuple[str, ...]:
     """Name the load-dependent frictions of several elements where none is identified separately.
 
@@ -220,8 +220,8 @@ def collinear_losses(
     of their losses. Sampling would be slow: 20000 steps of 37 ms on the UR10e, where a single
     load-dependent friction takes a minute.
     """
-    lossy = [e.name for e in chain.elements if e.load_loss != "none"]
-    names = [p.name for p in chain.parameters if p.owner in lossy and p.row.role == "loss"]
+    lossy = [e.name for e in joint.elements if e.load_loss != "none"]
+    names = [p.name for p in joint.parameters if p.owner in lossy and p.row.role == "loss"]
     if len(lossy) < 2 or any(n in known for n in names):
         return ()
     values = [estimate[n] for n in names]

@@ -1,6 +1,6 @@
 """Every parameter from the error of the modelled torque: the input error, section 4.2.
 
-Bounded nonlinear least squares for any chain, with bounds, priors and several recordings. Where the
+Bounded nonlinear least squares for any joint, with bounds, priors and several recordings. Where the
 torque has the form of eq. (13), eqs. (18) and (19) give a start.
 """
 
@@ -62,21 +62,21 @@ CONTRADICTED = 3.0
 
 
 def input_error(
-    chain: Joint,
+    joint: Joint,
     observations: Sequence[Observation],
     knowledge: Knowledge,
     options: Estimation,
     start: Mapping[str, float] | None = None,
 ) -> Estimate:
-    """Estimate the chain's parameters from the error of the modelled torque, eq. (12).
+    """Estimate the joint's parameters from the error of the modelled torque, eq. (12).
 
-    The search starts from the variable projection of eqs. (18) and (19) where the chain
+    The search starts from the variable projection of eqs. (18) and (19) where the joint
     has that form, from splits of the least-squares totals, from random vectors, and at the shapes
     that the table of quantities gives to try; limits are kept exactly.
 
     Parameters
     ----------
-    chain
+    joint
         The mechanism.
     observations
         Its recordings, prepared; each is weighed by its own residuals' standard deviation.
@@ -106,15 +106,15 @@ def input_error(
     it settles. Where no scale between leg and alpha is known, the estimate is moved to the middle
     of what a passive gearbox allows (section 4.2), and says so in its notes.
     """
-    _check(chain, observations, knowledge)
+    _check(joint, observations, knowledge)
     with few_threads(observations):
-        problem = TorqueProblem(chain, observations, knowledge)
+        problem = TorqueProblem(joint, observations, knowledge)
         minima, note = _minima(problem, options, start)
         return _estimate(*_refined(problem, minima), note)
 
 
 def contradicted(
-    chain: Joint,
+    joint: Joint,
     observations: Sequence[Observation],
     knowledge: Knowledge,
     options: Estimation,
@@ -124,20 +124,20 @@ def contradicted(
 
     By name, that estimate's value and the distance in standard deviations of both.
     """
-    support = {p.name: (p.lower, p.upper) for p in chain.parameters}
+    support = {p.name: (p.lower, p.upper) for p in joint.parameters}
     # coefficients of signals keep theirs: an arm compares those of all joints together
-    columns = {p.name for p in chain.parameters if p.row.option == "signals"}
+    columns = {p.name for p in joint.parameters if p.row.option == "signals"}
     priors = {
         name: (*knowledge.bounds.get(name, support[name]), *knowledge.priors.get(name, (None, 0.0)))
-        for name in knowledge.free(chain)
+        for name in knowledge.free(joint)
         if name not in columns
     }
     if all(bounds[:2] == support[n] and bounds[2] is None for n, bounds in priors.items()):
         return {}
     column_priors = {name: prior for name, prior in knowledge.priors.items() if name in columns}
     support_only = replace(knowledge, bounds={}, priors=column_priors)
-    estimate = input_error(chain, observations, support_only, options, start)
-    circular = {p.name: p.circular for p in chain.parameters}
+    estimate = input_error(joint, observations, support_only, options, start)
+    circular = {p.name: p.circular for p in joint.parameters}
     far = {}
     for name, (low, high, mean, sd) in priors.items():
         value = estimate[name]
@@ -162,22 +162,22 @@ class TorqueProblem:
     """Weighted residuals of the torque, and of priors, as a function of the free parameters."""
 
     def __init__(
-        self, chain: Joint, observations: Sequence[Observation], knowledge: Knowledge
+        self, joint: Joint, observations: Sequence[Observation], knowledge: Knowledge
     ) -> None:
-        self.chain, self.observations, self.knowledge = chain, observations, knowledge
-        # names of the d free parameters, and their indices among the chain's
-        self.free = knowledge.free(chain)
-        self.columns = np.array([chain.names.index(name) for name in self.free], dtype=np.int64)
-        self.lower, self.upper = knowledge.limits(chain)
+        self.chain, self.observations, self.knowledge = joint, observations, knowledge
+        # names of the d free parameters, and their indices among the joint's
+        self.free = knowledge.free(joint)
+        self.columns = np.array([joint.names.index(name) for name in self.free], dtype=np.int64)
+        self.lower, self.upper = knowledge.limits(joint)
         self.measured = np.concatenate([o.measured for o in observations])
         self.weights = np.ones(self.measured.size)
         # factor on the priors' residuals over their sds: the torque's sd; zero without priors
         self.prior_weight = 0.0
-        self.totals = least_squares(chain, observations)
+        self.totals = least_squares(joint, observations)
         # (n_parameters,) fixed values, zero elsewhere
-        self.base = np.zeros(len(chain.names))
+        self.base = np.zeros(len(joint.names))
         for name, value in knowledge.fixed.items():
-            self.base[chain.names.index(name)] = value
+            self.base[joint.names.index(name)] = value
         # (n_parameters,) sizes for steps and units; any will do at zero, the torque is linear
         self.typical = np.abs(self.split(0.2, 0.5))
         self.typical[self.typical == 0.0] = 0.1
@@ -379,15 +379,15 @@ def _starts(problem: TorqueProblem, options: Estimation) -> tuple[list[Array], f
 
 def _trial_shapes(problem: TorqueProblem) -> dict[int, Array]:
     """List the trial values of each free shape within its limits, by column."""
-    chain = problem.chain
-    free = [(k, chain.parameters[chain.names.index(name)]) for k, name in enumerate(problem.free)]
+    joint = problem.chain
+    free = [(k, joint.parameters[joint.names.index(name)]) for k, name in enumerate(problem.free)]
     shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
     if not shaping:
         return {}
-    scales = typical_sizes(chain, problem.observations)
+    scales = typical_sizes(joint, problem.observations)
     trials = {}
     for k, p, tries in shaping:
-        values = np.array(tries(sizes_at(chain, p.owner, scales)))
+        values = np.array(tries(sizes_at(joint, p.owner, scales)))
         trials[k] = np.unique(np.clip(values, problem.lower[k], problem.upper[k]))
     return trials
 
@@ -506,8 +506,8 @@ def _prior_factor(
 
 def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
     """Make the estimate of a minimum ``(d,)``; ``note`` is on the search."""
-    chain, observations, knowledge = problem.chain, problem.observations, problem.knowledge
-    values = centred(chain, knowledge, observations, problem.vector(x))
+    joint, observations, knowledge = problem.chain, problem.observations, problem.knowledge
+    values = centred(joint, knowledge, observations, problem.vector(x))
     x = problem.inside(values)
     values = problem.vector(x)
     at_bound = problem.bounds_met(x)
@@ -520,10 +520,10 @@ def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
     information = Information(
         jacobian,
         problem.weights * error,
-        np.maximum(units_of(chain, problem.free, values), least_unit),
+        np.maximum(units_of(joint, problem.free, values), least_unit),
         places=places(observations),
-        known=knowledge.rows(chain)[0],
-        known_null=open_directions(chain, knowledge, observations, values),
+        known=knowledge.rows(joint)[0],
+        known_null=open_directions(joint, knowledge, observations, values),
     )
     assumption = "sd: uncorrelated residuals of equal variance"
     assumption += " within each recording" if np.ptp(problem.weights) else ""
@@ -533,13 +533,13 @@ def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
         assumption += f"; {', '.join(names)} on a bound: the sds of the others are those without it"
     return Estimate(
         method="input-error",
-        values=assemble(chain, observations, knowledge, values, information, at_bound),
+        values=assemble(joint, observations, knowledge, values, information, at_bound),
         residual_rms=_rms(error),
         n_outputs=error.size,
         assumption=assumption,
-        residual_unit="N m" if chain.motor_motion == "rotary" else "N",
+        residual_unit="N m" if joint.motor_motion == "rotary" else "N",
         notes=(note, *_scale_notes(problem, information)),
-        point=tuple(zip(chain.names, values.tolist(), strict=True)),
+        point=tuple(zip(joint.names, values.tolist(), strict=True)),
     )
 
 
@@ -564,13 +564,13 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
     return notes
 
 
-def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> None:
+def _check(joint: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> None:
     """Refuse a fit with nothing free, equal limits, or too few outputs."""
-    free = knowledge.free(chain)
+    free = knowledge.free(joint)
     where = ", ".join(o.name for o in observations)
     if not free:
         raise BadInput(where, "every parameter is fixed", "leave at least one free")
-    lower, upper = knowledge.limits(chain)
+    lower, upper = knowledge.limits(joint)
     for name, low, high in zip(free, lower, upper, strict=True):
         if not low < high:
             raise BadInput(name, f"has no room between {low:g} and {high:g}", "widen its bounds")

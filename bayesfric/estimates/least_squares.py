@@ -5,9 +5,9 @@ With them, starts of a search and the typical sizes that default priors are scal
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from bayesfric.estimates.torque import (
 )
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
-from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, Sizes, effort_words
+from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, TypicalSizes, effort_words
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
@@ -33,7 +33,7 @@ _NEARLY_ALL = 0.999
 
 
 def least_squares(
-    chain: Joint,
+    joint: Joint,
     observations: Sequence[Observation],
     projection: TotalsProjection | None = None,
 ) -> Estimate:
@@ -46,7 +46,7 @@ def least_squares(
 
     Parameters
     ----------
-    chain, observations
+    joint, observations
         The mechanism and its recordings, prepared.
     projection
         Theirs, if it is computed already.
@@ -67,7 +67,7 @@ def least_squares(
     terms of the mechanism. Regressors and torque have passed the same parallel filter. What shapes
     a term, such as an exponent, is held where a search for it would start; see ``assumption``.
     """
-    projection = projection or TotalsProjection(chain, observations)
+    projection = projection or TotalsProjection(joint, observations)
     names, regressors = projection.names, projection.regressors
     torque = np.concatenate([o.measured for o in observations])
     if torque.size <= len(names):
@@ -99,7 +99,7 @@ def least_squares(
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
     if "added_load" not in names and any(o.inputs.known_load for o in observations):
         assumption += "; the known load is part of the totals"
-    if shapes := [p for p in chain.parameters if p.quantity in SHAPES]:
+    if shapes := [p for p in joint.parameters if p.quantity in SHAPES]:
         fixed = ", ".join(f"{p.name} = {p.row.start:g}" for p in shapes)
         assumption += f"; assumed known: {fixed}"
     return Estimate(
@@ -108,32 +108,25 @@ def least_squares(
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         n_outputs=torque.size,
         assumption=assumption,
-        residual_unit="N m" if chain.motor_motion == "rotary" else "N",
+        residual_unit="N m" if joint.motor_motion == "rotary" else "N",
     )
 
 
 class TotalsProjection:
     """The linear map from torques to the totals of eq. (11)."""
 
-    def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
-        self._chain, self._observations = chain, observations
+    def __init__(self, joint: Joint, observations: Sequence[Observation]) -> None:
+        self._chain = joint
         # of the k totals, such as inertia; (n_outputs, k), filtered like the measured torque
-        self.names, self.regressors = totals_regressors(chain, observations)
+        self.names, self.regressors = totals_regressors(joint, observations)
         # in results: total.inertia, or motor.inertia where that is all of it
-        self.labels = [total_label(chain, name) for name in self.names]
+        self.labels = [total_label(joint, name) for name in self.names]
         # (k,) norm of each regressor, and which totals are collinear with others
         self.scale, self.open, self._solution, _ = minimum_norm(self.regressors)
 
     def solve(self, torque: Array) -> Array:
         """Give the totals ``(k,)`` of filtered torques ``(n_outputs,)``, or of columns of them."""
         return np.asarray(self._solution @ torque)
-
-    def of_samples(self) -> list[Array]:
-        """Give the same map for unfiltered torque, ``(k, N)`` of each recording."""
-        ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
-        parts = np.split(self._solution, ends, axis=1)
-        pairs = zip(self._observations, parts, strict=True)
-        return [o.filter.reached(part) for o, part in pairs]
 
     def aliases(self) -> dict[str, str]:
         """Give other names of labels: ``total.<name>``, and the owner's where it is the only one.
@@ -152,47 +145,47 @@ class TotalsProjection:
 
     def describe(self, name: str) -> tuple[str, str, str]:
         """Give unit, LaTeX symbol and meaning of a total."""
-        chain = self._chain
-        for p in chain.parameters:
-            if _has_regressor(chain, p) and p.name == name:
+        joint = self._chain
+        for p in joint.parameters:
+            if _has_regressor(joint, p) and p.name == name:
                 return p.unit, p.symbol, p.meaning
         kind, _, recording = name.partition(".")
-        total, motion = TOTALS[kind], chain.motor_motion
+        total, motion = TOTALS[kind], joint.motor_motion
         unit, meaning = total.unit(motion), effort_words(total.meaning, motion)
         if not recording:
-            turned = any(p.circular for p in chain.parameters) and total.turned
+            turned = any(p.circular for p in joint.parameters) and total.turned
             return unit, turned or total.symbol, meaning
-        symbol = rf"\Delta C_{{t,{chain.own_offsets.index(recording) + 1}}}"
+        symbol = rf"\Delta C_{{t,{joint.own_offsets.index(recording) + 1}}}"
         return unit, symbol, f"{meaning}, {recording}"
 
 
-def total_label(chain: Joint, name: str) -> str:
+def total_label(joint: Joint, name: str) -> str:
     """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
-    if any(_has_regressor(chain, p) and p.name == name for p in chain.parameters):
-        owner, places = name.partition(".")[0], [e.name for e in chain.elements]
+    if any(_has_regressor(joint, p) and p.name == name for p in joint.parameters):
+        owner, places = name.partition(".")[0], [e.name for e in joint.elements]
         if owner in ("drive", "target"):  # added to the torque as measured
             return name
-        before = chain.elements[: places.index(owner)] if owner in places else chain.elements
-        scaled = chain.gain or any(e.load_loss != "none" for e in before)
+        before = joint.elements[: places.index(owner)] if owner in places else joint.elements
+        scaled = joint.gain or any(e.load_loss != "none" for e in before)
         return f"total.{name}" if scaled else name
     kind = name.partition(".")[0]
-    owners = [p for p in chain.parameters if kind in dict(_regressors_of(chain, p))]
+    owners = [p for p in joint.parameters if kind in dict(_regressors_of(joint, p))]
     filling = [p for p in owners if p.name == name] if name.startswith("offset.") else owners
-    if len(filling) == 1 and filling[0].owner in (chain.elements[0].name, "") and not chain.gain:
+    if len(filling) == 1 and filling[0].owner in (joint.elements[0].name, "") and not joint.gain:
         sole = filling[0].quantity == kind and (
-            name == kind or len(owners) == len(chain.own_offsets)
+            name == kind or len(owners) == len(joint.own_offsets)
         )
         if sole:
             return filling[0].name
     return f"total.{name}"
 
 
-def _has_regressor(chain: Joint, p: Parameter) -> bool:
+def _has_regressor(joint: Joint, p: Parameter) -> bool:
     """Whether a parameter has a regressor that no total is."""
-    return p.name in dict(_regressors_of(chain, p)) and p.quantity != "offset"
+    return p.name in dict(_regressors_of(joint, p)) and p.quantity != "offset"
 
 
-def _regressors_of(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
+def _regressors_of(joint: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Regressors of eq. (11) of a parameter, and its torque in each for a value of one.
 
     A mean transfer coefficient replaces load-dependent friction; what shapes or scales other terms
@@ -201,27 +194,27 @@ def _regressors_of(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     if p.circular:
         return (("gravity_cosine", 0.0),)
     return tuple(
-        (TOTALS[k].regressor or k if k in TOTALS else k, c) for k, c in filled_columns(chain, p)
+        (TOTALS[k].regressor or k if k in TOTALS else k, c) for k, c in filled_columns(joint, p)
     )
 
 
-def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> dict[str, float]:
+def starting_values(joint: Joint, totals: Estimate, mu: float, share: float) -> dict[str, float]:
     """Split the totals of :func:`least_squares` into parameters, as a place to start from."""
-    labels = {name: total_label(chain, name) for name in column_names(chain)}
+    labels = {name: total_label(joint, name) for name in column_names(joint)}
     total = {name: totals[label].value for name, label in labels.items() if label in totals}
     gain = total.get("added_load", 1.0)
     owners: dict[str, set[str]] = {}
-    for p in chain.parameters:
-        for kind, _ in _regressors_of(chain, p):
+    for p in joint.parameters:
+        for kind, _ in _regressors_of(joint, p):
             owners.setdefault(kind, set()).add(p.owner)
     values: dict[str, float] = {}
-    sign = np.sign(chain.load.gravity)
-    for p in chain.parameters:
+    sign = np.sign(joint.load.gravity)
+    for p in joint.parameters:
         if p.row.role == "loss":
             values[p.name] = mu
         elif p.quantity == "first_moment":
             amount = float(np.hypot(total.get("gravity", 0.0), total.get("gravity_cosine", 0.0)))
-            values[p.name] = max(amount, 1e-6) * chain.ratio / abs(chain.load.gravity)
+            values[p.name] = max(amount, 1e-6) * joint.ratio / abs(joint.load.gravity)
         elif p.circular:
             cosine, sine = total.get("gravity_cosine", 0.0), total.get("gravity", 0.0)
             values[p.name] = (
@@ -232,15 +225,15 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
         elif p.quantity == "offset":
             values[p.name] = total.get(p.name, 0.0)
         elif p.row.role == "own":
-            kind = _regressors_of(chain, p)[0][0]
-            part = _part(p.owner, owners[kind], chain.elements[0].name, share)
+            kind = _regressors_of(joint, p)[0][0]
+            part = _part(p.owner, owners[kind], joint.elements[0].name, share)
             amount = total.get(kind, 0.0)
             if p.lower == 0.0:
                 amount = max(amount, 1e-3 * abs(totals.residual_rms) + 1e-12)
             # torque of the regressor for a value of one, both directions together
             unit_torque = sum(
-                abs(c) for q in chain.parameters if q.owner == p.owner
-                for k, c in _regressors_of(chain, q) if k == kind
+                abs(c) for q in joint.parameters if q.owner == p.owner
+                for k, c in _regressors_of(joint, q) if k == kind
             )  # fmt: skip
             values[p.name] = part * amount / unit_torque
         else:
@@ -262,37 +255,21 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
     return share if owner == motor else (1.0 - share) / len(others)
 
 
-def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
+def totals_regressors(joint: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
     """Name the k totals of eq. (11), and give their regressors ``(n_outputs, k)``, filtered."""
-    kinds = {kind for p in chain.parameters for kind, _ in _regressors_of(chain, p)}
-    loads = {o.inputs.load(chain.load.motion) for o in observations}
+    kinds = {kind for p in joint.parameters for kind, _ in _regressors_of(joint, p)}
+    loads = {o.inputs.load(joint.load.motion) for o in observations}
     loaded = any(o.inputs.load_torque is not None for o in observations)
     if loaded or (loads != {(0.0, 0.0)} and ("gravity" not in kinds or len(loads) > 1)):
         kinds.add("added_load")
     if "offset" in kinds:
-        kinds |= set(chain.offset_names)
-    names = [name for name in column_names(chain) if name in kinds]
-    blocks = [o.filter.apply(columns(chain, o, names)).T for o in observations if names]
+        kinds |= set(joint.offset_names)
+    names = [name for name in column_names(joint) if name in kinds]
+    blocks = [o.filter.apply(columns(joint, o, names)).T for o in observations if names]
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))
 
 
-@dataclass(frozen=True)
-class TypicalSizes:
-    """Sizes of what was measured."""
-
-    torque: float  # Largest measured of the motor (99.9th percentile), N m or N
-    speed: float  # Root mean square at the joint, rad or m and s
-    acceleration: float
-    lean: float = 1.0  # Largest sine of the joint's angle that gravity was seen at
-    exchanged: float = 0.0  # Torque that one term surely takes, from another maybe, N m or N
-    position: float = 1.0  # Range of the joint's, rad or m
-    duration: float = 1.0  # Of the longest recording, s
-    position_step: float = 0.0  # Finest that one was read in, rad or m; 0 where it is not known
-    # rms torque of each custom or signal term, for a value of one
-    columns: Mapping[str, float] = field(default_factory=dict)
-
-
-def typical_sizes(chain: Joint, observations: Sequence[Observation]) -> TypicalSizes:
+def typical_sizes(joint: Joint, observations: Sequence[Observation]) -> TypicalSizes:
     """Take the scales from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
@@ -303,36 +280,35 @@ def typical_sizes(chain: Joint, observations: Sequence[Observation]) -> TypicalS
     return TypicalSizes(
         torque=float(np.quantile(np.abs(torque), _NEARLY_ALL)),
         # from an unknown zero the angle may be any
-        lean=1.0 if any(p.circular for p in chain.parameters) else lean or 1.0,
-        exchanged=_surely_taken(chain, observations),
+        lean=1.0 if any(p.circular for p in joint.parameters) else lean or 1.0,
+        exchanged=_surely_taken(joint, observations),
         speed=_rms(speed),
         # a motion changes its speed at least once in all recordings
         acceleration=max(_rms(acceleration), _rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         position_step=min(o.position_step for o in observations),
-        columns={chain.names[c.index]: _rms_of(c, observations) for c in chain.carried},
+        columns={joint.names[c.index]: _rms_of(c, observations) for c in joint.carried},
     )
 
 
-def sizes_at(chain: Joint, owner: str, scales: TypicalSizes) -> Sizes:
+def sizes_at(joint: Joint, owner: str, scales: TypicalSizes) -> TypicalSizes:
     """Give the sizes at the input of an element, or of ``load``; losses on the way are left out."""
-    to_joint = chain.reaches[owner]
-    return Sizes(
-        scales.torque * (chain.ratio / to_joint),
-        scales.speed * to_joint,
-        scales.acceleration * to_joint,
-        chain.load.gravity,
-        scales.lean,
-        scales.duration,
+    to_joint = joint.reaches[owner]
+    return replace(
+        scales,
+        torque=scales.torque * (joint.ratio / to_joint),
+        speed=scales.speed * to_joint,
+        acceleration=scales.acceleration * to_joint,
+        gravity=joint.load.gravity,
     )
 
 
-def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
+def _surely_taken(joint: Joint, observations: Sequence[Observation]) -> float:
     """Give the largest torque of a single term by least squares, less two standard deviations."""
-    projection = TotalsProjection(chain, observations)
+    projection = TotalsProjection(joint, observations)
     with suppress(BadInput):
-        estimate = least_squares(chain, observations, projection)
+        estimate = least_squares(joint, observations, projection)
         sizes = np.quantile(np.abs(projection.regressors), _NEARLY_ALL, axis=0)
         determined = np.array([v.determined for v in estimate.values])
         sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in estimate.values])

@@ -14,7 +14,6 @@ from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import TorqueProblem, few_threads, input_error
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
-from bayesfric.estimates.processing import furthest_delay
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.observation import Observation
@@ -79,15 +78,6 @@ class FittedModel:
     inputs: EstimationInputs
     estimate: Estimate  # the input error's
 
-    @property
-    def dated(self) -> bool:
-        """Whether a delay, if there is one, is determined to less than the range of the search."""
-        return all(
-            v.known and max(abs(v.value), v.larger_sd) <= furthest_delay(self.inputs.observations)
-            for v in self.estimate.parameters
-            if v.quantity == "delay"
-        )
-
     @cached_property
     def left_out_rms(self) -> float:
         """Root mean square of residuals in parts that the model was not fitted to, N m or N.
@@ -96,9 +86,9 @@ class FittedModel:
         quarters of the recordings in a row: a term that fits a single place or minute does not help
         in others.
         """
-        chain, observations = self.inputs.chain, self.inputs.observations
-        problem = TorqueProblem(chain, observations, self.inputs.knowledge)
-        start = problem.inside(chain.vector(dict(self.estimate.point)))
+        joint, observations = self.inputs.chain, self.inputs.observations
+        problem = TorqueProblem(joint, observations, self.inputs.knowledge)
+        start = problem.inside(joint.vector(dict(self.estimate.point)))
         squares, n = 0.0, problem.measured.size
         with few_threads(observations):
             for part in np.array_split(np.arange(n), 4):
@@ -113,8 +103,7 @@ def predicts_better(larger: FittedModel, smaller: FittedModel, *, same: float = 
     """Whether a larger model has the smaller left-out error and its new terms are identified.
 
     The 90 % interval of every new parameter that shapes a term, and of at least one other, must
-    exclude zero; a delay that was determined stays so. A search may end the share ``same`` of an
-    rms above its minimum.
+    exclude zero. A search may end the share ``same`` of an rms above its minimum.
     """
     forms = {name for name, row in QUANTITIES.items() if row.role == "form"}
     names = {v.name for v in smaller.estimate.parameters}
@@ -122,7 +111,5 @@ def predicts_better(larger: FittedModel, smaller: FittedModel, *, same: float = 
     shapes = [v.known for v in new if v.quantity in forms]
     sizes = [v.known for v in new if v.quantity not in forms]
     if not all(shapes) or (sizes and not any(sizes)):
-        return False
-    if smaller.dated and not larger.dated:
         return False
     return larger.left_out_rms < (1.0 - same) * smaller.left_out_rms

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,7 @@ from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
 
@@ -44,7 +43,7 @@ _WEIGHINGS, _RESTARTS, _STATE_STEPS = 4, 3, 20
 
 
 def output_error(
-    chain: Joint,
+    joint: Joint,
     trajectories: Sequence[Trajectory],
     observations: Sequence[Observation],
     knowledge: Knowledge,
@@ -58,7 +57,7 @@ def output_error(
 
     Parameters
     ----------
-    chain
+    joint
         The mechanism.
     trajectories
         Recordings to simulate, not yet divided into segments.
@@ -86,11 +85,10 @@ def output_error(
     -----
     ``sd`` is for white noise of the position. Noise of the torque drives the simulated joint, so
     residuals within a segment drift together; ``sd_robust`` rests on segments being independent of
-    each other. Segments of 0.2, 0.5 and 1 s are tried, as far as there are two for each parameter;
-    a longer one is taken where it clearly lowers the robust standard deviations. The search begins
-    at the input error.
+    each other. They last 0.5 s, or less where that leaves fewer than two for each parameter. The
+    search begins at the input error.
     """
-    inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
+    inertia = [p.name for p in joint.parameters if p.quantity == "inertia"]
     inertias = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
     if not inertias and not all(t.inputs.added_mass for t in trajectories):
         raise BadInput(
@@ -98,44 +96,22 @@ def output_error(
             "has no inertia, so a torque does not determine a motion to compare with",
             "give an element or the load inertia, or use the input error",
         )
-    problem = OutputError(chain, trajectories, observations, knowledge, options)
-    values = chain.vector({**dict(start.point), **knowledge.fixed})
-    fits: list[Fit] = []
-    for length in problem.lengths():
-        if fits and problem.late:
-            break
-        fit = problem.fit(fits[-1].values if fits else values, length)
-        if fit is not None:
-            fits.append(fit)
-        elif not fits:
-            raise BadInput(
-                ", ".join(f"recording '{t.name}'" for t in trajectories),
-                "the joint cannot be simulated: the torque gives no bounded motion",
-                "check units and sign of the torque, bound the load_loss, or shorten 'segment'",
-            )
-    # more segments make better sds, so a longer length must clearly lower their logarithm; on other
-    # bounds it only seems to, as bounds count as certain
-    chosen = fits[0]
-    for longer in fits[1:]:
-        same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.converged
-        if same and longer.spread() < chosen.spread() - 0.2:
-            chosen = longer
-    return problem.estimate(chosen, values)
-
-
-class Sensitivities(NamedTuple):
-    """Simulated positions and their derivatives."""
-
-    positions: Array  # (n,) rad or m
-    parameters: Array  # (n, d) by the free parameters
-    states: Array  # (n, 2) by position and speed at the start of the segment each sample is in
+    problem = OutputError(joint, trajectories, observations, knowledge, options)
+    values = joint.vector({**dict(start.point), **knowledge.fixed})
+    if not problem.fit(values):
+        raise BadInput(
+            ", ".join(f"recording '{t.name}'" for t in trajectories),
+            "the joint cannot be simulated: the torque gives no bounded motion",
+            "check units and sign of the torque, bound the load_loss, or shorten 'segment'",
+        )
+    return problem.estimate(values)
 
 
 class Shooting:
     """Simulation of recordings, each of their K segments from its own state."""
 
-    def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
-        self.chain, self.trajectories, self.substeps = chain, tuple(trajectories), substeps
+    def __init__(self, joint: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
+        self.chain, self.trajectories, self.substeps = joint, tuple(trajectories), substeps
         # (n,) position inside the segments of all recordings, rad or m; of each sample the
         # recording, the segment counted over all, the place on an even grid of time
         self.measured = np.concatenate([t.position[t.samples] for t in trajectories])
@@ -193,11 +169,13 @@ class Shooting:
 
     def sensitivities(
         self, values: Array, states: Array, steps: Array, state_steps: tuple[float, float]
-    ) -> Sensitivities:
+    ) -> tuple[Array, Array, Array]:
         """Simulate and differentiate, all finite differences side by side.
 
-        By the parameters with a step ``(n_parameters,)``: central differences, one-sided of the
-        same order at an end of the support.
+        Gives positions ``(n,)``, their derivatives ``(n, d)`` by the parameters with a step
+        ``(n_parameters,)``, and ``(n, 2)`` by position and speed at the start of the segment that
+        each sample is in: central differences, one-sided of the same order at an end of the
+        support.
         """
         moving = np.flatnonzero(steps)
         d, h = moving.size, steps[moving]
@@ -219,7 +197,7 @@ class Shooting:
         a, b = widths[:, :, None]
         up, down = (np.array(ends) - middle).reshape(2, d + 2, -1)
         slopes = ((up * b / a - down * a / b) / (b - a)).T
-        return Sensitivities(middle, slopes[:, :d], slopes[:, d:])
+        return middle, slopes[:, :d], slopes[:, d:]
 
     def follow(
         self, values: Array, states: Array, change: Array, weights: Array
@@ -294,43 +272,35 @@ def choose_substeps(
         substeps, coarse = 2 * substeps, fine
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A fit with segments of one length."""
+class OutputError:
+    """Fit of simulated to measured position; after :meth:`fit` it has the attributes below."""
 
-    shooting: Shooting
     values: Array  # (n_parameters,)
     states: Array  # (K, 2)
     residual: Array  # (n,) measured minus simulated position, rad or m
     weights: Array  # (n,) of the residuals
+    units: Array  # (d,) change of each free parameter that changes the torque by its rms
     # of the free parameters, those on a bound included: held, others would look far too certain
     information: Information
     at_bound: NDArray[np.int_]  # (d,): -1 on the lower bound, 1 on the upper, else 0
     converged: bool
 
-    def spread(self) -> float:
-        """Mean logarithm of the robust standard deviations of identified directions."""
-        d = self.information.directions
-        sds = [self.information.sds(row / d.units)[1] for row in d.rows[~d.null]]
-        return float(np.mean(np.log(np.maximum(sds, 1e-300)))) if sds else np.inf
-
-
-class OutputError:
-    """Fits of simulated to measured position with segments of any length."""
-
     def __init__(
         self,
-        chain: Joint,
+        joint: Joint,
         trajectories: Sequence[Trajectory],
         observations: Sequence[Observation],
         knowledge: Knowledge,
         options: Estimation,
     ) -> None:
-        self.chain, self.knowledge, self.options = chain, knowledge, options
-        self.trajectories, self.observations = tuple(trajectories), tuple(observations)
-        self.torque = TorqueProblem(chain, observations, knowledge)
+        self.chain, self.knowledge, self.options = joint, knowledge, options
+        self.observations = tuple(observations)
+        self.torque = TorqueProblem(joint, observations, knowledge)
         self.columns = self.torque.columns
         self.deadline = time.process_time() + options.max_seconds
+        length = options.segment or segment_length(trajectories, self.columns.size)
+        parts = [divided(t, o, length) for t, o in zip(trajectories, observations, strict=True)]
+        self.shooting = Shooting(joint, parts, options.substeps or 1)
         # sd of the rounding to counts, of each recording, rad or m
         self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
         # steps of the states' differences
@@ -344,91 +314,69 @@ class OutputError:
         """Whether the time for the search is over."""
         return time.process_time() >= self.deadline
 
-    def lengths(
-        self, tried: Sequence[float] = (0.2, 0.5, 1.0), least_samples: int = 40
-    ) -> tuple[float, ...]:
-        """Segment lengths to try, s: the configured one, or those with two segments a parameter.
-
-        Short ones suit a fine encoder, as noise of the torque is integrated, long ones a coarse
-        one; measured: beyond 1 s drift dominates. ``sd_robust`` needs two segments a parameter; two
-        states come off each, so none is below 40 samples.
-        """
-        if self.options.segment is not None:
-            return (self.options.segment,)
-        total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
-        shortest = least_samples * max(t.period for t in self.trajectories)
-        needed = LEAST_GROUPS * max(self.columns.size, 1)
-        fitting = [length for length in tried if length >= shortest and total >= needed * length]
-        return tuple(fitting) or (max(tried[0], shortest),)
-
-    def fit(self, values: Array, length: float) -> Fit | None:
-        """Fit from a start ``(n_parameters,)`` with segments of one length; ``None`` if unstable.
+    def fit(self, values: Array) -> bool:
+        """Fit from a start ``(n_parameters,)``; whether the joint can be simulated there.
 
         Recordings and priors are weighed four times by the residuals. A bad start can drive a state
         into a separate minimum (a joint that stops where the measured one passes) that no small
         step leaves: segments that fit better from their measured state are fitted again from there.
         Along an open scaling the fit is moved to the middle of what a gearbox allows.
         """
-        pairs = zip(self.trajectories, self.observations, strict=True)
-        parts = [divided(t, o, length) for t, o in pairs]
-        shooting = Shooting(self.chain, parts, self.options.substeps or 1)
-        values = self.torque.vector(self.torque.inside(values))
-        states, residual = self._with_states(shooting, values)
-        if not np.isfinite(residual).all():
-            return None
+        shooting = self.shooting
+        self.values = self.torque.vector(self.torque.inside(values))
+        self.states, self.residual = self._with_states()
+        if not np.isfinite(self.residual).all():
+            return False
         if self.options.substeps is None:
-            shooting.substeps, _ = choose_substeps(shooting, values, states)
-        units = self._units(values)
-        several = len(self.trajectories) > 1
+            shooting.substeps, _ = choose_substeps(shooting, self.values, self.states)
+        self.units = self._units()
         late = False
+        several = len(shooting.trajectories) > 1
         for _ in range(_WEIGHINGS if several or self.knowledge.priors else 1):
-            weights = self._weights(shooting, residual)
+            self.weights = self._weights()
             for _ in range(_RESTARTS + 1):
-                values, states, residual, late = self._search(
-                    shooting, values, states, weights, units
-                )
-                restarted, left = self._with_states(shooting, values)
+                late = self._search()
+                restarted, residual = self._with_states()
                 before, after = (
-                    np.add.reduceat((weights * r) ** 2, shooting.borders[:-1])
-                    for r in (residual, left)
+                    np.add.reduceat((self.weights * r) ** 2, shooting.borders[:-1])
+                    for r in (self.residual, residual)
                 )
                 better = after < (1.0 - 1e-6) * before
                 if late or (before - after)[better].sum() <= 1e-6 * before.sum():
                     break
-                states = np.where(better[:, None], restarted, states)
-        values = centred(self.chain, self.knowledge, self.observations, values)
+                self.states = np.where(better[:, None], restarted, self.states)
+        values = centred(self.chain, self.knowledge, self.observations, self.values)
         values = self.torque.vector(self.knowledge.on_turn(self.chain, values[self.columns]))
-        residual = shooting.measured - shooting.positions(values[None], states)[0]
-        at_bound = self._bounds_met(values[self.columns], units)
-        projected, _, eliminated = self._linearised(shooting, values, states, weights, units)
+        self.values = values
+        self.residual = shooting.measured - shooting.positions(values[None], self.states)[0]
+        self.at_bound = self._bounds_met(values[self.columns])
+        projected, _, eliminated = self._linearised(values, self.states)
         rows, _ = self.knowledge.rows(self.chain)
-        information = Information(
+        self.information = Information(
             projected[:, 1:],
             projected[:, 0],
-            units,
+            self.units,
             places=shooting.places,
             known=rows,
             known_null=self._open_directions(values),
             tolerance=1e-6,  # finite differences carry errors of 1e-8
             groups=shooting.segment_of,
             lost=eliminated,
-            least=float(np.min(weights * self.grain[shooting.recording_of])),
+            least=float(np.min(self.weights * self.grain[shooting.recording_of])),
         )
-        converged = not late and self._at_minimum(
-            values, weights * residual, projected, units, at_bound == 0
-        )
-        return Fit(shooting, values, states, residual, weights, information, at_bound, converged)
+        self.converged = not late and self._at_minimum(projected)
+        return True
 
-    def estimate(self, fit: Fit, start: Array, worse: float = 2.0) -> Estimate:
-        """Make the estimate of a fit; ``start`` is the input error's vector.
+    def estimate(self, start: Array, worse: float = 2.0) -> Estimate:
+        """Make the estimate of the fit; ``start`` is the input error's vector.
 
         Warnings come first in its notes: no convergence, or a minimum that leaves more than
         ``worse`` times the input error's unexplained torque.
         """
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
-        shooting, n = fit.shooting, len(fit.states)
+        shooting, n = self.shooting, len(self.states)
         data = self.chain, self.observations, self.knowledge
-        values = assemble(*data, fit.values, fit.information, fit.at_bound)
+        values = assemble(*data, self.values, self.information, self.at_bound)
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         notes = [f"simulated in {n} segments of {length:.3g} s"]
         if n < LEAST_GROUPS * self.columns.size:
@@ -436,7 +384,7 @@ class OutputError:
                 f"{n} segments are too few for sums over segments: sd_robust treats residuals as "
                 "a stationary series and is too small where they drift; give a shorter 'segment'"
             )
-        if not fit.converged:
+        if not self.converged:
             values = tuple(replace(v, sd=np.nan, sd_robust=np.nan, span=None) for v in values)
             reason = (
                 f"the search was stopped after {self.options.max_seconds:g} s of CPU time (raise "
@@ -448,9 +396,9 @@ class OutputError:
             notes.insert(0, f"NOT CONVERGED, these numbers are not an estimate: {reason}")
         before, after = (
             float(np.sqrt(np.mean(self.torque.torque_error(v[self.columns]) ** 2)))
-            for v in (start, fit.values)
+            for v in (start, self.values)
         )
-        if fit.converged and after > worse * before:
+        if self.converged and after > worse * before:
             notes.insert(
                 0,
                 f"ANOTHER MINIMUM than the input error's: these numbers leave {after / before:.2g} "
@@ -459,46 +407,43 @@ class OutputError:
         return Estimate(
             method="output-error",
             values=values,
-            residual_rms=float(np.sqrt(np.mean(fit.residual**2))),
-            n_outputs=fit.residual.size,
+            residual_rms=float(np.sqrt(np.mean(self.residual**2))),
+            n_outputs=self.residual.size,
             assumption="sd: uncorrelated noise of the position; sd_robust: residuals correlated "
             "in any way within segments, as noise of the torque makes them",
             residual_unit=unit,
             notes=tuple(notes),
-            point=tuple(zip(self.chain.names, fit.values.tolist(), strict=True)),
-            converged=fit.converged,
+            point=tuple(zip(self.chain.names, self.values.tolist(), strict=True)),
+            converged=self.converged,
         )
 
-    def _with_states(self, shooting: Shooting, values: Array) -> tuple[Array, Array]:
+    def _with_states(self) -> tuple[Array, Array]:
         """Fit the initial states ``(K, 2)`` alone, from the measured ones; residuals ``(n,)``."""
+        shooting, values = self.shooting, self.values
         states, even = shooting.initial, np.ones(shooting.measured.size)
         residual = shooting.measured - shooting.positions(values[None], states)[0]
+        held = np.zeros(values.size)
         for _ in range(_STATE_STEPS):
             if not np.isfinite(residual).all():
                 break
-            derivatives = shooting.sensitivities(
-                values, states, np.zeros(values.size), self._state_steps
-            )
-            by_state = np.nan_to_num(derivatives.states)
-            _, onto, _ = eliminate_states(shooting, by_state, residual[:, None])
+            _, _, by_state = shooting.sensitivities(values, states, held, self._state_steps)
+            _, onto, _ = eliminate_states(shooting, np.nan_to_num(by_state), residual[:, None])
             before = residual
             states, residual = shooting.follow(values, states, onto[:, :, 0], even)
             if residual @ residual >= (1.0 - 1e-6) * (before @ before):
                 break
         return states, residual
 
-    def _search(
-        self, shooting: Shooting, values: Array, states: Array, weights: Array, units: Array
-    ) -> tuple[Array, Array, Array, bool]:
+    def _search(self) -> bool:
         """Minimise the weighted squares of positions and priors within limits, by SciPy.
 
-        States follow a step of the parameters to first order. Gives parameters, states, residuals
-        ``(n,)``, and whether the time is over.
+        States follow a step of the parameters to first order. Whether the time is over.
         """
+        shooting, weights, vector = self.shooting, self.weights, self.torque.vector
         rows, targets = self.knowledge.rows(self.chain)
-        lower, upper, vector = self.torque.lower, self.torque.upper, self.torque.vector
-        x = values[self.columns]
-        left = shooting.measured - shooting.positions(values[None], states)[0]
+        lower, upper = self.torque.lower, self.torque.upper
+        x, states = self.values[self.columns], self.states
+        left = shooting.measured - shooting.positions(self.values[None], states)[0]
         sd = float(np.sqrt(np.mean((weights * left) ** 2)))  # scale of the priors
         # where the states are known to fit, their slopes there, and the last trial
         point, slopes = (x, states), np.zeros((*states.shape, 1 + x.size))
@@ -518,88 +463,100 @@ class OutputError:
             if not np.array_equal(x, trial[0]):
                 residual(x)
             best, point = trial, trial[:2]
-            projected, slopes, _ = self._linearised(shooting, vector(x), trial[1], weights, units)
+            projected, slopes, _ = self._linearised(vector(x), trial[1])
             return -np.concatenate([projected[:, 1:], sd * rows])
 
+        late = False
         try:
             optimize.least_squares(
-                residual, x, jacobian, (lower, upper), x_scale=units,
+                residual, x, jacobian, (lower, upper), x_scale=self.units,
                 ftol=1e-9, xtol=1e-9, gtol=1e-15, max_nfev=100,
             )  # fmt: skip
             # what ends next to a limit stands on it
-            met = self._bounds_met(best[0], units)
+            met = self._bounds_met(best[0])
             on_limits = np.where(met < 0, lower, np.where(met > 0, upper, best[0]))
             ends = [(float(np.sum(residual(x) ** 2)), trial) for x in (best[0], on_limits)]
             best = ends[1][1] if ends[1][0] <= (1.0 + 1e-9) * ends[0][0] else ends[0][1]
         except TimeoutError:
-            return vector(best[0]), best[1], best[2], True
-        return vector(best[0]), best[1], best[2], False
+            late = True
+        self.values, self.states, self.residual = vector(best[0]), best[1], best[2]
+        return late
 
-    def _linearised(
-        self, shooting: Shooting, values: Array, states: Array, weights: Array, units: Array
-    ) -> tuple[Array, Array, int]:
+    def _linearised(self, values: Array, states: Array) -> tuple[Array, Array, int]:
         """Eliminate the states from weighted residual and Jacobian: ``(n, 1 + d)``, as columns.
 
         Derivatives along the open scalings are zero.
         """
+        shooting, units, weights = self.shooting, self.units, self.weights[:, None]
         steps = np.zeros(values.size)
         steps[self.columns] = _STEP * units
-        simulated = shooting.sensitivities(values, states, steps, self._state_steps)
-        jacobian = np.nan_to_num(simulated.parameters) * units
+        positions, by_parameter, by_state = shooting.sensitivities(
+            values, states, steps, self._state_steps
+        )
+        jacobian = np.nan_to_num(by_parameter) * units
         tangents, _ = np.linalg.qr((self._open_directions(values) / units).T)
         jacobian -= (jacobian @ tangents) @ tangents.T
-        by_state = np.nan_to_num(simulated.states) * weights[:, None]
-        columns = np.column_stack([shooting.measured - simulated.positions, jacobian / units])
-        return eliminate_states(shooting, by_state, weights[:, None] * columns)
+        columns = np.column_stack([shooting.measured - positions, jacobian / units])
+        return eliminate_states(shooting, np.nan_to_num(by_state) * weights, weights * columns)
 
-    def _bounds_met(self, x: Array, units: Array) -> NDArray[np.int_]:
-        return bounds_met(x, self.torque.lower, self.torque.upper, units)
+    def _bounds_met(self, x: Array) -> NDArray[np.int_]:
+        return bounds_met(x, self.torque.lower, self.torque.upper, self.units)
 
     def _open_directions(self, values: Array) -> Array:
         return open_directions(self.chain, self.knowledge, self.observations, values)
 
-    def _at_minimum(
-        self,
-        values: Array,
-        residual: Array,
-        projected: Array,
-        units: Array,
-        free: Flags,
-        *,
-        most: float = 100.0,
-    ) -> bool:
+    def _at_minimum(self, projected: Array, *, most: float = 100.0) -> bool:
         """Whether a full step promises less than ``most`` residual variances.
 
         Kinks of the torque and rounding stop a search although one promises some.
         """
         rows, targets = self.knowledge.rows(self.chain)
+        residual, free = self.weights * self.residual, self.at_bound == 0
         variance = float(np.mean(residual**2))
-        prior = np.sqrt(variance) * (targets - rows @ values[self.columns])
-        target = np.concatenate([projected[:, 0], prior])
-        matrix = np.concatenate([projected[:, 1:], np.sqrt(variance) * rows])[:, free] * units[free]
+        sd = np.sqrt(variance)
+        target = np.concatenate(
+            [projected[:, 0], sd * (targets - rows @ self.values[self.columns])]
+        )
+        matrix = np.concatenate([projected[:, 1:], sd * rows])[:, free] * self.units[free]
         rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-6)[0]
         by_states = residual @ residual - projected[:, 0] @ projected[:, 0]
         gain = float(by_states + target @ target - rest @ rest)
         # residuals that are rounding cannot be lowered
         return gain <= most * max(variance, (1e-6 * self.span) ** 2)
 
-    def _units(self, values: Array) -> Array:
-        """Give the change of each free parameter that changes the torque by its rms."""
-        sizes = units_of(self.chain, self.chain.names, values)
+    def _units(self) -> Array:
+        sizes = units_of(self.chain, self.chain.names, self.values)
         steps = 1e-6 + 1e-4 * sizes
-        jacobian = torque_jacobian(self.chain, self.observations, values, steps)
+        jacobian = torque_jacobian(self.chain, self.observations, self.values, steps)
         torque = np.concatenate([o.measured for o in self.observations])
         effect = np.sqrt(np.mean(jacobian**2, axis=0))
         with np.errstate(divide="ignore"):
             units = np.where(effect > 0.0, np.sqrt(np.mean(torque**2)) / effect, sizes)
         return np.asarray(units[self.columns])
 
-    def _weights(self, shooting: Shooting, residual: Array) -> Array:
+    def _weights(self) -> Array:
         """Weight recordings by one over their residual rms, the encoder's rounding at least."""
-        if len(self.trajectories) == 1:
+        residual, recording = self.residual, self.shooting.recording_of
+        if self.grain.size == 1:
             return np.ones(residual.size)
-        recording = shooting.recording_of
         sizes = np.sqrt(np.bincount(recording, residual**2) / np.bincount(recording))
         # a joint at standstill is simulated exactly, but measured to a count only
         sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
         return np.asarray(np.sqrt(np.mean(residual**2)) / np.maximum(sizes, 1e-300)[recording])
+
+
+def segment_length(
+    trajectories: Sequence[Trajectory],
+    n_parameters: int,
+    *,
+    longest: float = 0.5,
+    least_samples: int = 40,
+) -> float:
+    """Choose how long segments are, s: two for each parameter, as ``sd_robust`` needs.
+
+    Short ones suit a fine encoder, as noise of the torque is integrated, long ones a coarse one;
+    measured: beyond 1 s drift dominates. Two states come off each, so none is below 40 samples.
+    """
+    total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in trajectories)
+    shortest = least_samples * max(t.period for t in trajectories)
+    return max(min(longest, total / (LEAST_GROUPS * max(n_parameters, 1))), shortest)

@@ -79,12 +79,12 @@ class Estimate:
     assumption: str  # of the standard deviations, in a sentence
     residual_unit: str = "N m"  # of torque, or of position for the output error
     notes: tuple[str, ...] = ()  # remarks on the search, a sentence each
-    point: tuple[tuple[str, float], ...] = ()  # of every chain parameter; empty for least squares
+    point: tuple[tuple[str, float], ...] = ()  # of every parameter; empty for least squares
     converged: bool = True
 
     @property
     def parameters(self) -> list[EstimatedValue]:
-        """Values of the chain's parameters."""
+        """Values of the joint's parameters."""
         return [v for v in self.values if v.kind == "parameter"]
 
     def __getitem__(self, name: str) -> EstimatedValue:
@@ -99,7 +99,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Known values, bounds and data-sheet values of a chain's parameters, by name, in SI units."""
+    """Known values, bounds and data-sheet values of a joint's parameters, by name, in SI units."""
 
     # values of parameters that are not estimated
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -108,35 +108,35 @@ class Knowledge:
     # mean and standard deviation of others, one more residual each
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def free(self, chain: Joint) -> tuple[str, ...]:
-        """Names of the parameters to estimate, in the chain's order."""
-        return tuple(name for name in chain.names if name not in self.fixed)
+    def free(self, joint: Joint) -> tuple[str, ...]:
+        """Names of the parameters to estimate, in the joint's order."""
+        return tuple(name for name in joint.names if name not in self.fixed)
 
-    def limits(self, chain: Joint) -> tuple[Array, Array]:
+    def limits(self, joint: Joint) -> tuple[Array, Array]:
         """Lower and upper limits ``(d,)`` of the free parameters."""
-        support = {p.name: (p.lower, p.upper) for p in chain.parameters}
-        pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
+        support = {p.name: (p.lower, p.upper) for p in joint.parameters}
+        pairs = [self.bounds.get(name, support[name]) for name in self.free(joint)]
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
-    def on_turn(self, chain: Joint, values: Array) -> Array:
+    def on_turn(self, joint: Joint, values: Array) -> Array:
         """Bring angles of free parameters ``(d,)`` to the turn of their limits."""
-        described = {p.name: p for p in chain.parameters}
+        described = {p.name: p for p in joint.parameters}
         out = values.copy()
         for j, (name, low, high) in enumerate(
-            zip(self.free(chain), *self.limits(chain), strict=True)
+            zip(self.free(joint), *self.limits(joint), strict=True)
         ):
             if described[name].circular:
                 middle = (low + high) / 2.0 if np.isfinite(high - low) else 0.0
                 out[j] = turned(float(values[j]), middle)
         return out
 
-    def inside(self, chain: Joint, values: Array) -> Array:
+    def inside(self, joint: Joint, values: Array) -> Array:
         """Put free parameters ``(d,)`` within their limits."""
-        return np.clip(self.on_turn(chain, values), *self.limits(chain))
+        return np.clip(self.on_turn(joint, values), *self.limits(joint))
 
-    def rows(self, chain: Joint) -> tuple[Array, Array]:
+    def rows(self, joint: Joint) -> tuple[Array, Array]:
         """Write priors as rows ``1/sd`` ``(k, d)`` and targets ``mean/sd`` ``(k,)``."""
-        free = self.free(chain)
+        free = self.free(joint)
         known = [name for name in free if name in self.priors]
         means, sds = np.array([self.priors[name] for name in known]).reshape(-1, 2).T
         rows = np.eye(len(free))[[free.index(name) for name in known]]

@@ -26,8 +26,8 @@ speeds; torque that a wrong model leaves unexplained raises it. The acceleration
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,21 +61,10 @@ from bayesfric.recordings.source import Processing
 _LEAST_GROWTH = 0.01
 
 
-@dataclass(frozen=True)
-class Attenuated:
-    """A recording's band that attenuates the inertia, and a narrower one that does not."""
-
-    recording: str  # its name
-    band: float  # upper ends of the two bands, Hz
-    narrower: float
-    inertia: float  # inertia seen by the motor, by least squares in either, kg m² or kg
-    larger: float
-
-
-class _BandFit(NamedTuple):
+class BandFit(NamedTuple):
     """Least squares of the totals in one band."""
 
-    band: float  # Hz
+    band: float  # its upper end, Hz
     inertia: float  # total inertia seen by the motor and its standard deviation
     sd: float
     unexplained: float  # variance of the torque per hertz of the band
@@ -83,64 +72,53 @@ class _BandFit(NamedTuple):
 
 
 def attenuations(
-    chain: Joint,
+    joint: Joint,
     recordings: Sequence[Measurement],
     observations: Sequence[Observation],
     processing: Processing,
     *,
     misses: int = 2,
-) -> list[Attenuated]:
-    """List the recordings whose band is contradicted by a narrower one.
+) -> dict[str, tuple[BandFit, BandFit]]:
+    """List the recordings whose band is contradicted by a narrower one, by name, with both.
 
-    Bands narrow by a factor of 1.4 until two in a row contradict the best so far no more.
+    Bands narrow by a factor of 1.4, low-pass and decimation going with them, until two in a row
+    contradict the best so far no more.
     """
-    attenuated = []
+    attenuated = {}
     for recording, observation in zip(recordings, observations, strict=True):
-        first = _fit_band(chain, recording, observation)
+        first = _fit_band(joint, recording, observation)
         # noise that takes a share of the inertia leaves at least that share of its torque
         if first is None or first.freedom * first.sd**2 < _LEAST_GROWTH * first.inertia**2:
             continue
+        fs, share, factor = 1.0 / recording.period, 1.0, int(observation.settings["decimate"])
         best, missed = first, 0
-        for fit in _narrower_bands(chain, recording, observation, processing):
-            best, missed = (fit, 0) if _contradicts(fit, best) else (best, missed + 1)
-            if missed == misses:
+        while missed < misses:
+            share *= 1.4
+            decimation = round(share * factor)
+            if decimation <= factor:
+                continue
+            cutoff = lowpass_above(fs / (2 * decimation), fs)
+            settings = {"decimate": decimation, "lowpass": cutoff, "band": None}
+            try:
+                filtered = observe(recording, processing.model_copy(update=settings))
+            except BadInput:  # it leaves no output
                 break
+            if (fit := _fit_band(joint, recording, filtered)) is None:
+                break
+            best, missed = (fit, 0) if _contradicts(fit, best) else (best, missed + 1)
         if best is not first:
-            bands = first.band, best.band
-            attenuated.append(Attenuated(recording.name, *bands, first.inertia, best.inertia))
+            attenuated[recording.name] = first, best
     return attenuated
 
 
-def _narrower_bands(
-    chain: Joint, recording: Measurement, observation: Observation, processing: Processing
-) -> Iterator[_BandFit]:
-    """Fit the totals in ever narrower bands, low-pass and decimation going with them."""
-    fs, share = 1.0 / recording.period, 1.0
-    factor = int(observation.settings["decimate"])
-    while True:
-        share *= 1.4
-        decimation = round(share * factor)
-        if decimation <= factor:
-            continue
-        cutoff = lowpass_above(fs / (2 * decimation), fs)
-        settings = {"decimate": decimation, "lowpass": cutoff, "band": None}
-        try:
-            filtered = observe(recording, processing.model_copy(update=settings))
-        except BadInput:  # it leaves no output
-            return
-        if (fit := _fit_band(chain, recording, filtered)) is None:
-            return
-        yield fit
-
-
 def _fit_band(
-    chain: Joint, recording: Measurement, o: Observation, *, least_freedom: int = 20
-) -> _BandFit | None:
+    joint: Joint, recording: Measurement, o: Observation, *, least_freedom: int = 20
+) -> BandFit | None:
     """Fit the totals in a band; ``None`` where the inertia is not identified.
 
     The torque's rate is one more regressor: a delay leaves torque as well, and is another matter.
     """
-    names, totals = totals_regressors(replace(chain, delay=False), [o])
+    names, totals = totals_regressors(replace(joint, delay=False), [o])
     freedom = o.measured.size - len(names) - 1
     if "inertia" not in names or freedom < least_freedom:
         return None
@@ -154,10 +132,10 @@ def _fit_band(
     residual = o.measured - regressors @ values
     variance, band = float(residual @ residual) / freedom, 0.5 / o.period
     sd = float(np.sqrt(variance * (solution[i] @ solution[i])))
-    return _BandFit(band, float(values[i]), sd, variance / band, freedom)
+    return BandFit(band, float(values[i]), sd, variance / band, freedom)
 
 
-def _contradicts(narrow: _BandFit, wide: _BandFit) -> bool:
+def _contradicts(narrow: BandFit, wide: BandFit) -> bool:
     """Whether a narrower band contradicts a wider one, as noise of the acceleration makes it.
 
     An inertia of more than 4 sds grows by more than 1 %, less variance is left per hertz, and the
@@ -179,7 +157,7 @@ def _contradicts(narrow: _BandFit, wide: _BandFit) -> bool:
 
 
 def estimate_delay(
-    chain: Joint,
+    joint: Joint,
     recordings: Sequence[Measurement],
     observations: Sequence[Observation],
     knowledge: Knowledge,
@@ -187,29 +165,29 @@ def estimate_delay(
 ) -> float:
     """Estimate ``drive.delay``, s: by least squares of a linear torque, else input error."""
     pairs = list(zip(recordings, observations, strict=True))
-    if any(p.row.bends for p in chain.parameters):
+    if any(p.row.bends for p in joint.parameters):
         point: dict[str, float] | None = None
 
         def estimate(observations: Sequence[Observation]) -> Estimate:
             nonlocal point  # the next round starts where this one ends
-            fitted = input_error(chain, observations, knowledge, options, point)
+            fitted = input_error(joint, observations, knowledge, options, point)
             point = dict(fitted.point)
             return fitted
 
-        return settled_delay(pairs, estimate, chain)
-    return settled_delay(pairs, lambda observations: least_squares(chain, observations), chain)
+        return settled_delay(pairs, estimate, joint)
+    return settled_delay(pairs, lambda observations: least_squares(joint, observations), joint)
 
 
 def settled_delay(
     pairs: Sequence[tuple[Measurement, Observation]],
     estimate: Callable[[Sequence[Observation]], Estimate],
-    chain: Joint,
+    joint: Joint,
 ) -> float:
     """Repeat an estimate, recordings shifted by its delay, until it settles; 0 if undetermined."""
-    delay = _first(TotalsProjection(replace(chain, delay=False), [o for _, o in pairs]), pairs)
+    delay = _first(TotalsProjection(replace(joint, delay=False), [o for _, o in pairs]), pairs)
     for _ in range(10):  # each linear about the delay of the last
         fitted = estimate([retimed(o, r.segments, r.period, delay, r) for r, o in pairs])
-        value, previous = fitted[chain.delay_name], delay
+        value, previous = fitted[joint.delay_name], delay
         if fitted.method == "least-squares" and not value.determined:
             return 0.0
         delay = _within(value.value, pairs)
@@ -219,16 +197,15 @@ def settled_delay(
     return delay
 
 
-def furthest_delay(observations: Sequence[Observation], longest: float = 0.25) -> float:
-    """Give the longest delay to look for, s: at most a tenth of the recording."""
-    trimmed = min(longest_delay(o, 1.0 / float(o.settings["sampling_rate"])) for o in observations)
-    return max(trimmed, min(longest, 0.1 * min(float(np.ptp(o.stamps)) for o in observations)))
-
-
-def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    longest = furthest_delay([o for _, o in pairs])
-    lowest = 0.0 if any(r.feedback is not None for r, _ in pairs) else -longest
-    return float(np.clip(delay, lowest, longest))
+def _within(
+    delay: float, pairs: Sequence[tuple[Measurement, Observation]], *, longest: float = 0.25
+) -> float:
+    """Limit a delay, s, to the ``longest`` to look for, at most a tenth of the recording."""
+    trimmed = min(longest_delay(o, r.period) for r, o in pairs)
+    duration = min(float(np.ptp(o.stamps)) for _, o in pairs)
+    furthest = max(trimmed, min(longest, 0.1 * duration))
+    lowest = 0.0 if any(r.feedback is not None for r, _ in pairs) else -furthest
+    return float(np.clip(delay, lowest, furthest))
 
 
 def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
@@ -256,7 +233,7 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
 
 
 def with_fine_motion(
-    chain: Joint,
+    joint: Joint,
     recordings: Sequence[Measurement],
     observations: Sequence[Observation],
     knowledge: Knowledge,
@@ -274,17 +251,17 @@ def with_fine_motion(
     try:
         for _ in range(2):
             excerpts = [o.excerpt() for o in refined]
-            point = dict(input_error(chain, excerpts, knowledge, options, point).point)
-            values = chain.vector(point)
+            point = dict(input_error(joint, excerpts, knowledge, options, point).point)
+            values = joint.vector(point)
             pairs = zip(recordings, observations, strict=True)
-            refined = [fine_motion(chain, values, r, o) for r, o in pairs]
+            refined = [fine_motion(joint, values, r, o) for r, o in pairs]
     except BadInput:
         return None, list(observations)
     return values, refined
 
 
 def fine_motion(
-    chain: Joint, values: Array, recording: Measurement, observation: Observation
+    joint: Joint, values: Array, recording: Measurement, observation: Observation
 ) -> Observation:
     """Refine the motion of one recording by parameters ``(n_parameters,)`` of its joint.
 
@@ -307,7 +284,7 @@ def fine_motion(
     q, qd, qdd, handover = o.q, o.qd, o.qdd, 0.0
     for _ in range(4):  # each takes the direction of motion of the last
         low, torque, high = (
-            inverse_torque(chain, values, q, qd, qdd + d, inputs=inputs, time=o.stamps)
+            inverse_torque(joint, values, q, qd, qdd + d, inputs=inputs, time=o.stamps)
             for d in (-step, 0.0, step)
         )
         inertia, residual = (high - low) / (2.0 * step), o.compared - torque
@@ -321,17 +298,14 @@ def fine_motion(
         q, qd = o.q + position + dq, o.qd + speed + dqd
         qdd = o.qdd + above(acceleration, end)
     refined = with_motion(o, recording, q, qd, qdd)
-    return refined if _near(o, refined, recording) else observation
-
-
-def _near(o: Observation, refined: Observation, recording: Measurement) -> bool:
-    """Whether a refined motion is as close to the recorded one as noise explains."""
     if recording.velocity is None:
         recorded, before, after = recording.position, o.q, refined.q
     else:
         recorded, before, after = recording.velocity, o.qd, refined.qd
-    noise = float(o.settings["noise_seen"]) ** 2
-    return bool(np.mean((recorded - after) ** 2) <= np.mean((recorded - before) ** 2) + noise)
+    # as close to what was recorded as noise explains
+    noise = float(settings["noise_seen"]) ** 2
+    near = np.mean((recorded - after) ** 2) <= np.mean((recorded - before) ** 2) + noise
+    return refined if near else observation
 
 
 def _handover(o: Observation, recording: Measurement, residual: Array, inertia: float) -> float:

@@ -1,6 +1,6 @@
 """The modelled torque behind the filter of the measured one, its form, and its minimum.
 
-Chains with at most one load-dependent element and no Stribeck rise have the form
+Joints with at most one load-dependent element and no Stribeck rise have the form
 ``psi Theta1 + sign(qd) |psi Theta2|``, eq. (13), wherever they move; at standstill the mechanism
 has no loss, while eq. (13) leaves ``lambda_1``. Eqs. (14) to (19) minimise its error.
 """
@@ -8,7 +8,7 @@ has no loss, while eq. (13) leaves ``lambda_1``. Eqs. (14) to (19) minimise its 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from bayesfric.mechanism.inverse import load_torque, torque_at
+from bayesfric.mechanism.inverse import load_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.kernels import inverse_many
 from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.quantities import TOTALS, Parameter, State
 from bayesfric.mechanism.scaling import scalings
@@ -30,41 +31,24 @@ Term = tuple[int, float]  # a parameter's index, and its torque at the motor for
 OPEN = 1e-9
 # What is positive in any mechanism that loses energy; gravity's sign is that of Theta1.
 POSITIVE = tuple(total.name for total in TOTALS.values() if total.lower == 0.0)
-# Numbers of unfiltered torque held at once.
-_ROWS_AT_ONCE = 2_000_000
+_NUMBERS_AT_ONCE = 2_000_000
 
 
-def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Array:
+def filtered_torque(joint: Joint, observation: Observation, values: Array) -> Array:
     """Model the motor torque ``(n, n_outputs)`` of vectors ``(n, n_parameters)``, filtered."""
-    out = np.empty((values.shape[0], observation.filter.n_outputs))
-    for part, torque in _torques(chain, observation, values):
-        out[part] = observation.filter.apply(torque)
-    return out
-
-
-def weighted_torque(chain: Joint, observation: Observation, weights: Array, values: Array) -> Array:
-    """Apply weights ``(k, n_samples)`` to the modelled torque before any filter: ``(k, n)``."""
-    out = np.empty((len(weights), values.shape[0]))
-    for part, torque in _torques(chain, observation, values):
-        # einsum has no threads: for products this small those of @ cost up to fifty times as much
-        out[:, part] = np.einsum("ks,ns->kn", weights, torque)
-    return out
-
-
-def _torques(
-    chain: Joint, observation: Observation, values: Array
-) -> Iterator[tuple[slice, Array]]:
-    """Yield unfiltered torque of a few vectors at a time: that of a long recording is large."""
     o = observation
-    samples = chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
-    rows = max(1, _ROWS_AT_ONCE // max(o.q.size, 1))
+    samples = joint.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
+    out = np.empty((values.shape[0], o.filter.n_outputs))
+    # a few vectors at a time: unfiltered torque of a long recording is large
+    rows = max(1, _NUMBERS_AT_ONCE // max(o.q.size, 1))
     for first in range(0, values.shape[0], rows):
         part = slice(first, first + rows)
-        yield part, torque_at(chain, values[part], samples, o.inputs)
+        out[part] = o.filter.apply(inverse_many(*joint.tables(values[part], o.inputs), samples))
+    return out
 
 
 def torque_jacobian(
-    chain: Joint, observations: Sequence[Observation], values: Array, steps: Array
+    joint: Joint, observations: Sequence[Observation], values: Array, steps: Array
 ) -> Array:
     """Differentiate the filtered torque by the parameters: ``(n_outputs, n_parameters)``.
 
@@ -74,11 +58,11 @@ def torque_jacobian(
     """
     moving = np.flatnonzero(steps)
     shifts = np.eye(values.size)[moving] * steps
-    shaping = np.array([chain.parameters[k].row.role == "form" for k in moving], dtype=bool)
+    shaping = np.array([joint.parameters[k].row.role == "form" for k in moving], dtype=bool)
     vectors = np.concatenate([values[None], values + shifts, values - shifts[shaping]])
     blocks = []
     for o in observations:
-        torque = filtered_torque(chain, o, vectors)
+        torque = filtered_torque(joint, o, vectors)
         middle, up, down = np.split(torque, [1, 1 + moving.size])
         difference = up - middle
         difference[shaping] = (up[shaping] - down) / 2.0
@@ -88,20 +72,20 @@ def torque_jacobian(
     return np.concatenate(blocks)
 
 
-def load_at_outputs(chain: Joint, o: Observation, values: Array) -> Array:
+def load_at_outputs(joint: Joint, o: Observation, values: Array) -> Array:
     """Compute the load's own torque ``(n_outputs,)`` at the middles of the outputs, eq. (3).
 
     N m or N at the joint.
     """
     at = o.filter.centres
-    return load_torque(chain, values, o.q[at], o.acceleration, inputs=o.inputs, time=o.stamps[at])
+    return load_torque(joint, values, o.q[at], o.acceleration, inputs=o.inputs, time=o.stamps[at])
 
 
 def typical_load(
-    chain: Joint, observations: Sequence[Observation], values: Array, quantile: float = 0.95
+    joint: Joint, observations: Sequence[Observation], values: Array, quantile: float = 0.95
 ) -> float:
     """Give the joint torque at which efficiencies are stated: nearly the recordings' largest."""
-    loads = [load_at_outputs(chain, o, values) for o in observations]
+    loads = [load_at_outputs(joint, o, values) for o in observations]
     return float(np.quantile(np.abs(np.concatenate(loads)), quantile))
 
 
@@ -123,7 +107,7 @@ def places(observations: Sequence[Observation], far: int = 2000) -> NDArray[np.i
 
 @dataclass(frozen=True, eq=False)
 class TorqueForm:
-    """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13).
+    """How a joint's parameters make up ``Theta1`` and ``Theta2`` of eq. (13).
 
     ``lambda_1 = (1/alpha_1 + 1/alpha_2)/2``, ``lambda_2 = (1/alpha_1 - 1/alpha_2)/2``, and ``Theta1
     = front + lambda_1 behind``, ``Theta2 = lambda_2 behind``, column by column. ``-Theta2`` makes
@@ -231,28 +215,28 @@ class TorqueForm:
                     values[i] += totals.get(kind, 0.0) / (len(members) * c)
 
 
-def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Array:
+def scale_known(joint: Joint, values: Array, fixed: Mapping[str, float]) -> Array:
     """Scale a vector until a fixed parameter has its value, else to the middle of the range."""
-    for scaling in scalings(chain):
+    for scaling in scalings(joint):
         factors = (scaling.factor_to(values, n, fixed[n]) for n in scaling.names if n in fixed)
         reached = (factor for factor in factors if 0.0 < factor < math.inf)
         values = scaling.scaled(values, next(reached, None) or scaling.middle(values))
     return values
 
 
-def _angle(chain: Joint) -> list[int]:
+def _angle(joint: Joint) -> list[int]:
     """Index of the gravity angle, if there is one."""
-    return [i for i, p in enumerate(chain.parameters) if p.circular]
+    return [i for i, p in enumerate(joint.parameters) if p.circular]
 
 
 def torque_form(
-    chain: Joint, observations: Sequence[Observation] = (), *, any_shape: bool = False
+    joint: Joint, observations: Sequence[Observation] = (), *, any_shape: bool = False
 ) -> TorqueForm | None:
-    """Write a chain's torque in the form of eq. (13).
+    """Write a joint's torque in the form of eq. (13).
 
     Parameters
     ----------
-    chain
+    joint
         The mechanism.
     observations
         Whose known mass has separate columns, ``added_load``, if their motion identifies it.
@@ -263,49 +247,49 @@ def torque_form(
     Returns
     -------
     TorqueForm or None
-        None for a chain with several load-dependent elements, or with a known load at an unknown
+        None for a joint with several load-dependent elements, or with a known load at an unknown
         angle; unless ``any_shape``, also with an unknown gain or whatever shapes a term (Stribeck
         rise, exponent, load-dependent friction by direction or growing with speed): these are not
         of the form.
     """
-    lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
-    angled = bool(_angle(chain))
+    lossy = [i for i, e in enumerate(joint.elements) if e.load_loss != "none"]
+    angled = bool(_angle(joint))
     masses = any(o.inputs.known_load for o in observations)
-    shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
+    shaped = any(p.row.role == "form" and not p.circular for p in joint.parameters)
     if len(lossy) > 1 or (shaped and not any_shape) or (angled and masses):
         return None
-    last = lossy[0] if lossy else len(chain.elements)
-    in_front = {"drive", *(element.name for element in chain.elements[: last + 1])}
+    last = lossy[0] if lossy else len(joint.elements)
+    in_front = {"drive", *(element.name for element in joint.elements[: last + 1])}
     in_front |= set() if lossy else {"load"}
     front: dict[str, list[Term]] = {}
     behind: dict[str, list[Term]] = {}
-    for i, p in enumerate(chain.parameters):
+    for i, p in enumerate(joint.parameters):
         if p.owner:  # offsets follow
             side = front if p.owner in in_front else behind
-            for kind, c in filled_columns(chain, p):
+            for kind, c in filled_columns(joint, p):
                 side.setdefault(kind, []).append((i, c))
     if angled:  # it turns gravity's two columns, see _sums
         for side in (front, behind):
             if "gravity" in side:
                 side["gravity_cosine"] = side["gravity"]
-    for name in chain.offset_names:
-        front[name] = [(chain.names.index(name), 1.0)]
-    order = column_names(chain)
+    for name in joint.offset_names:
+        front[name] = [(joint.names.index(name), 1.0)]
+    order = column_names(joint)
     names1 = tuple(k for k in order if k in front or k in behind)
     names2 = tuple(k for k in order if k in behind)
     if masses and lossy:
-        plain = np.concatenate([columns(chain, o, names2) for o in observations], axis=1)
-        known = np.concatenate([columns(chain, o, ("added_load",)) for o in observations], axis=1)
+        plain = np.concatenate([columns(joint, o, names2) for o in observations], axis=1)
+        known = np.concatenate([columns(joint, o, ("added_load",)) for o in observations], axis=1)
         # one mass everywhere may be collinear with the leg: then it has no column
         if _rank(np.concatenate([plain, known])) > _rank(plain):
             names2 = (*names2, "added_load")
-            names1 += ("added_load",) if chain.elements[last].load_loss == "two" else ()
+            names1 += ("added_load",) if joint.elements[last].load_loss == "two" else ()
     return TorqueForm(
-        chain, names1, names2, front, behind, chain.elements[last].name if lossy else ""
+        joint, names1, names2, front, behind, joint.elements[last].name if lossy else ""
     )
 
 
-def filled_columns(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
+def filled_columns(joint: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Columns one parameter fills, and its torque at the motor there for a value of one.
 
     Through a ratio of n from motor to owner, a term of the power k of motion, ``power`` of its row,
@@ -316,23 +300,23 @@ def filled_columns(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     if p.row.power is None or not {kind for kind, _ in p.row.fills} <= TOTALS.keys():
         return ((p.name, 1.0),)
     # speed of the motor over that of its shaft
-    factor = (chain.ratio / chain.reaches[p.owner]) ** -(p.row.power + 1)
+    factor = (joint.ratio / joint.reaches[p.owner]) ** -(p.row.power + 1)
     if p.quantity == "first_moment":
-        factor *= chain.load.gravity
+        factor *= joint.load.gravity
     return tuple((kind, weight * factor) for kind, weight in p.row.fills)
 
 
-def column_names(chain: Joint) -> list[str]:
+def column_names(joint: Joint) -> list[str]:
     """Names of all possible columns, in the order of the paper's theta."""
-    offsets = chain.offset_names or ("offset",)
+    offsets = joint.offset_names or ("offset",)
     order = [k for kind in TOTALS for k in (offsets if kind == "offset" else (kind,))]
-    return list(dict.fromkeys([*order, *chain.names]))
+    return list(dict.fromkeys([*order, *joint.names]))
 
 
-def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Array:
+def columns(joint: Joint, observation: Observation, names: Iterable[str]) -> Array:
     """Compute columns of ``psi`` of eq. (13) in motor units, before filtering: ``(n, N)``."""
-    o, n = observation, chain.ratio
-    inertia, moment = o.inputs.load(chain.load.motion)
+    o, n = observation, joint.ratio
+    inertia, moment = o.inputs.load(joint.load.motion)
     sine = np.sin(o.q)
     applied = 0.0 if o.inputs.load_torque is None else o.inputs.load_torque.at(o.stamps)
     state = State(
@@ -341,7 +325,7 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
         n * o.qdd,
         np.sign(o.qd),
         o.stamps,
-        transmitted=(inertia * o.qdd + chain.load.gravity * moment * sine - applied) / n,
+        transmitted=(inertia * o.qdd + joint.load.gravity * moment * sine - applied) / n,
         gravity=sine,
     )
 
@@ -349,10 +333,10 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
         if name in TOTALS and (total := TOTALS[name].column) is not None:
             cosine = name == "gravity_cosine"
             return np.asarray(total(state._replace(gravity=np.cos(o.q)) if cosine else state))
-        if name in chain.offset_names:
+        if name in joint.offset_names:
             return np.full_like(o.q, name == f"offset.{o.inputs.recording}")
-        p = chain.parameters[chain.names.index(name)]
-        reach = chain.reaches[p.owner]
+        p = joint.parameters[joint.names.index(name)]
+        reach = joint.reaches[p.owner]
         return along(p.row, reach, o.q, o.qd, o.stamps, o.inputs) * (reach / n)
 
     rows = [column(name) for name in names]
@@ -391,7 +375,7 @@ class VariableProjection:
     Parameters
     ----------
     form
-        Of the chain with the same observations.
+        Of the joint with the same observations.
     observations
         Recordings, prepared.
 
@@ -413,18 +397,18 @@ class VariableProjection:
 
     def __init__(self, form: TorqueForm, observations: Sequence[Observation]) -> None:
         self.form, self._observations = form, observations
-        chain = form.chain
-        self._psi2 = [columns(chain, o, form.names2) for o in observations]
+        joint = form.chain
+        self._psi2 = [columns(joint, o, form.names2) for o in observations]
         self._sign = [np.sign(o.qd) for o in observations]
         target, regressors = [], []
-        two_losses = f"{form.loss}.load_drive" in chain.names
+        two_losses = f"{form.loss}.load_drive" in joint.names
         for o in observations:
             known = np.zeros_like(o.measured)
             if o.inputs.known_load and "added_load" not in form.names1 and not two_losses:
                 # lambda_1 is one: what the known load takes is known
-                known = o.filter.apply(columns(chain, o, ("added_load",)))[0]
+                known = o.filter.apply(columns(joint, o, ("added_load",)))[0]
             target.append(o.measured - known)
-            regressors.append(o.filter.apply(columns(chain, o, form.names1)))
+            regressors.append(o.filter.apply(columns(joint, o, form.names1)))
         self._target = np.concatenate(target)
         *_, self._solution, self._range = minimum_norm(np.concatenate(regressors, axis=1).T)
         norms = np.sqrt(sum(((p**2).sum(axis=1) for p in self._psi2), np.zeros(len(form.names2))))

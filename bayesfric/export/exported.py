@@ -155,7 +155,7 @@ def _check(form: Format, options: Options) -> None:
 def _export(run: Result, form: Format, options: Options) -> Exported:
     joint, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
     vectors = parameter_vectors(run, motions, options.draws or _DRAWS)
-    recorded = covered(run.model, vectors.point, open_scale=True)
+    recorded = covered(run.model.chain, run.model.observations, vectors.point, open_scale=True)
     load = float(np.abs(recorded[1]).mean())
     fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), motions, load)
     # the torque that held the joint at standstill is a lower limit of its static friction

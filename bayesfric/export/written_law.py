@@ -167,7 +167,7 @@ class Statements:
         q, a = Traced("q"), Traced("a")
         self.all.append(("", "load"))
         at = self._at(1.0)
-        weight = run["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))
+        weight = run["gravity_torque"](load, np.sin(q), np.cos(q))
         torque = load[kernels.LOAD_INERTIA] * a + weight
         torque = self.put("torque", torque + self._carried(len(elements), at))
         for k in range(len(elements) - 1, -1, -1):
@@ -272,25 +272,25 @@ def _text(formula: Formula, language: Language, precedence: int = 0) -> str:
     return name.format(*parts) if operation == "where" else f"{name}({', '.join(parts)})"
 
 
-def unwritten(chain: Joint) -> str | None:
+def unwritten(joint: Joint) -> str | None:
     """Name a term that has no formula or depends on time; ``None`` where there is none."""
     try:
-        Statements(chain, np.ones(len(chain.names)))
+        Statements(joint, np.ones(len(joint.names)))
     except Unwritten as error:
         return str(error)
-    of_time = (term.name for term in chain.terms if "time" in _names_in(formula_of(term.row)))
+    of_time = (term.name for term in joint.terms if "time" in _names_in(formula_of(term.row)))
     return next(of_time, None)
 
 
-def law(chain: Joint, vector: Array, language: Language) -> Law:
+def law(joint: Joint, vector: Array, language: Language) -> Law:
     """Write the law of a joint at one parameter vector ``(d,)``."""
-    if (name := unwritten(chain)) is not None:
+    if (name := unwritten(joint)) is not None:
         problem = "is a custom term, of time or with functions that the export does not support"
         raise BadInput(name, problem, "export another format, or leave the term out")
-    load = chain.tables(vector[None]).load[0]
-    ideal = [p.row.stores or p.row.circular or p.owner in ("", "drive") for p in chain.parameters]
+    load = joint.tables(vector[None]).load[0]
+    ideal = [p.row.stores or p.row.circular or p.owner in ("", "drive") for p in joint.parameters]
     return Law(
-        Statements(chain, vector).written(language),
-        Statements(chain, np.where(ideal, vector, 0.0)).written(language),
+        Statements(joint, vector).written(language),
+        Statements(joint, np.where(ideal, vector, 0.0)).written(language),
         repr(float(load[kernels.OFFSET] / load[kernels.GAIN])),
     )

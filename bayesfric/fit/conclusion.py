@@ -9,14 +9,15 @@ from typing import Any
 
 from bayesfric.base.errors import BadInput
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, identify, speed_term
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import NoiseChoice
+from bayesfric.inference.posterior import StictionViolation, stiction_violations
 from bayesfric.inference.priors import Prior
-from bayesfric.inference.stiction_violations import StictionViolation, stiction_violations
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config
@@ -79,11 +80,13 @@ def conclude(
         directions += identify(start.target, posterior.median).directions
     violations: list[StictionViolation] = []
     if posterior.diagnostics.status != "unusable":
-        violations += stiction_violations(fit, recordings, tables.processing)
+        violations += stiction_violations(
+            target, fit.wide.posterior, fit.residuals, recordings, tables.processing
+        )
     derived = groups(fit)
     summary = summarise(fit, references, start.choice, derived)
     summary = add_model_error(summary, fit, derived)
-    summary = _with_back_emf(summary, speed_term(target, posterior.median, recordings))
+    summary = _with_back_emf(summary, speed_term(start.target, recordings))
     findings = explained.with_severity(widened=summary.widened)
     update: dict[str, Any] = {
         "fit": summary.fit.model_copy(update={"rests": violations}),

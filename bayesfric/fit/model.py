@@ -21,8 +21,9 @@ from bayesfric.base.progress import (
     no_progress,
     progress_shown,
 )
-from bayesfric.diagnostics.explanation import Explanation, Finding, explain, too_few_outputs
-from bayesfric.diagnostics.policy import MAX_EFFECTS
+from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
+from bayesfric.diagnostics.regression import Finding
+from bayesfric.diagnostics.statistics import MAX_EFFECTS
 from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import contradicted, few_threads
 from bayesfric.estimates.methods import (
@@ -39,14 +40,13 @@ from bayesfric.identifiability.local import estimate_point, local_information
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit, make_target, target_of
 from bayesfric.inference.fitting import fit as sample_posterior
-from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.position_likelihood import PositionLikelihood
+from bayesfric.inference.posterior import predict_held_out
 from bayesfric.inference.priors import Prior, as_knowledge
-from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.inference.target import Target
+from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.target import Likelihood, Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import (
@@ -364,7 +364,7 @@ class Model:
         """
         target, point = self._at_estimate(progress)
         with self.config.named(), few_threads(self.observations):
-            speed = speed_term(target, point, self.recordings)
+            speed = speed_term(target, self.recordings)
             return identify(target, point, speed=speed)
 
     def advise(self, name: str, *, progress: ProgressCallback = no_progress) -> Ranking:

@@ -8,13 +8,14 @@ from typing import Any
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, Timer, no_progress
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.fit.check_report import check
 from bayesfric.fit.model import Model
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Status
-from bayesfric.inference.sampling.sampling import sample
+from bayesfric.inference.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.results.reported import LEVEL, Outcome, outcome_of

@@ -11,8 +11,7 @@ import numpy as np
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, read_array
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.posterior import Diagnostics, Posterior, Status
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.posterior import Diagnostics, Posterior, Status, predict_held_out
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.held_out import HeldOut

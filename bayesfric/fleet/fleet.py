@@ -5,38 +5,41 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
-from filelock import FileLock, Timeout
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from bayesfric.base.atomic_write import write_files
+from bayesfric.base.atomic_write import check_output_folder, run_lock, write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
 from bayesfric.fleet.plan import (
     FAILED,
     ClusterOptions,
+    FleetTables,
     Plan,
-    RunOptions,
-    Template,
     read_plan,
-    read_template,
     read_units,
     units_of,
 )
-from bayesfric.fleet.results import FleetPopulation, fleet_population, results_table
+from bayesfric.fleet.results import (
+    FleetQuantity,
+    fleet_population,
+    population_record,
+    results_table,
+)
 from bayesfric.fleet.workers import check_dask, fit_units, is_fitted
+from bayesfric.problem.config import document_text, read_document, read_toml
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 if TYPE_CHECKING:
     import pandas as pd
 
 # Files of a fleet's folder.
-PLAN, TABLE, UNITS, LOCK = "fleet.toml", "results.parquet", "units", ".lock"
+PLAN, TABLE, UNITS = "fleet.toml", "results.parquet", "units"
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class FleetRun:
     outcomes: Mapping[str, int]  # number of units by the outcome of their fits
     seconds: float  # by the clock
     cpu_seconds: float  # of this process, and of all workers on units
-    population: FleetPopulation
+    population: Sequence[FleetQuantity]
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -60,19 +63,15 @@ class FleetRun:
 
         return pd.read_parquet(self.folder / TABLE)
 
+    @property
+    def outliers(self) -> list[dict[str, Any]]:
+        """Units that are likelier outliers than not."""
+        return list(population_record(self.population)["outliers"])
+
     def as_json(self) -> dict[str, Any]:
         """Give the output of ``bayesfric fleet --json``."""
-        return {
-            "folder": str(self.folder),
-            "units": self.units,
-            "again": self.again,
-            "outcomes": dict(self.outcomes),
-            "failed": dict(self.failed),
-            "left": dict(self.left),
-            "seconds": self.seconds,
-            "cpu_seconds": self.cpu_seconds,
-            **self.population.as_json(),
-        }
+        fields = {key: value for key, value in vars(self).items() if key != "population"}
+        return fields | {"folder": str(self.folder)} | population_record(self.population)
 
 
 class Fleet:
@@ -105,22 +104,24 @@ class Fleet:
         cluster: Mapping[str, Any] | None = None,
     ) -> None:
         if isinstance(template, Mapping):
-            read = Template(Path("template").absolute(), dict(template))
+            path, document = Path("template").absolute(), dict(template)
         else:
-            read = read_template(Path(template))
+            path = Path(template).absolute()
+            document = read_document(read_toml(path), path)
         if isinstance(units, str | Path):
             rows = read_units(Path(units), name)
         else:
             import pandas as pd
 
             rows = units_of(pd.DataFrame(units), name, "units", first_row=1)
-        self.plan = Plan(
-            Path("Fleet"),
-            read,
-            rows,
-            _options(RunOptions, runs or {}, "runs"),
-            _options(ClusterOptions, cluster or {}, "cluster"),
-        ).checked()
+        tables = {"template": document, "units": {"table": "units"}}
+        tables |= {"runs": dict(runs or {}), "cluster": dict(cluster or {})}
+        try:
+            options = FleetTables.model_validate(tables, strict=True)
+        except ValidationError as error:
+            raise configuration_error("Fleet: ", "options", error, tables, FleetTables) from None
+        plan = Plan(Path("Fleet"), path, document, rows, options.runs, options.cluster)
+        self.plan = plan.checked()
 
     @classmethod
     def from_config(cls, path: Path | str) -> Self:
@@ -163,21 +164,21 @@ class Fleet:
         arguments = {"workers": workers, "scheduler": scheduler}
         update = {key: value for key, value in arguments.items() if value is not None}
         options = self.plan.cluster.model_copy(update=update)
-        _check(folder, resume=resume)
+        has_fleet = (folder / PLAN).is_file()
+        if resume and not has_fleet:
+            raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
+        if has_fleet and not resume:
+            hint = "add --resume to continue, or name another folder with -o"
+            raise BadInput(str(folder), "holds a fleet", hint)
+        if not resume:
+            check_output_folder(folder, force=None)
         check_dask(options)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as report:
-                write_files({folder / PLAN: _text(self.plan)}, replace=True)
-                result = self._run(folder, options, report, start)
-                (folder / LOCK).unlink(missing_ok=True)
-                return result
-        except Timeout:
-            problem = "another process is fitting this fleet"
-            raise BadInput(str(folder), problem, "wait for it, or name another folder") from None
-        except OSError as error:
-            problem = f"cannot be written ({error.strerror or error})"
-            raise BadInput(str(folder), problem, "correct that, then use --resume") from None
+        # what the table was made of: template, number of units and options
+        record = {"template": self.plan.document, "units": {"count": len(self.plan.units)}}
+        text = document_text(record | {"runs": self.plan.runs.model_dump()})
+        with run_lock(folder), progress_shown(progress) as report:
+            write_files({folder / PLAN: text}, replace=True)
+            return self._run(folder, options, report, start)
 
     def _run(
         self, folder: Path, options: ClusterOptions, progress: ProgressCallback, start: float
@@ -188,18 +189,16 @@ class Fleet:
         plan = self.plan
         cpu_seconds = -time.process_time()
         failed, left, waiting = dict[str, str](), dict[str, str](), dict[str, str]()
-        again = 0
         for unit in plan.units:
             try:
-                text = plan.template.filled(unit)
+                text = plan.configuration(unit)
             except BadInput as error:  # an empty cell
                 failed[unit.name] = str(error)
                 continue
-            if is_fitted(folder / UNITS / unit.name, text, plan.template.path):
-                again += 1
-            else:
+            if not is_fitted(folder / UNITS / unit.name, text, plan.template):
                 waiting[unit.name] = text
-        done = again + len(failed)
+        again = len(plan.units) - len(failed) - len(waiting)
+        done = len(plan.units) - len(waiting)
 
         def finished(name: str, why: str, by_machine: bool, seconds: float) -> None:
             nonlocal cpu_seconds, done
@@ -212,65 +211,33 @@ class Fleet:
 
         draws = plan.runs.draws if plan.runs.light else None
         if waiting:
-            fit_units(waiting, folder / UNITS, plan.template.path, draws, options, finished)
+            fit_units(waiting, folder / UNITS, plan.template, draws, options, finished)
         progress(Progress("population"))
         errors = failed | {name: f"machine: {why}" for name, why in left.items()}
-        folders = {u.name: folder / UNITS / u.name for u in plan.units if u.name not in errors}
-        runs = {
-            name: Summary.read(read_summary_file(path), str(path)) for name, path in folders.items()
-        }
+        runs = {}
+        for name in (unit.name for unit in plan.units if unit.name not in errors):
+            path = folder / UNITS / name
+            runs[name] = Summary.read(read_summary_file(path), str(path))
         population = fleet_population(folder / UNITS, runs)
         table = results_table(plan.units, runs, errors)
         (folder / TABLE).write_bytes(table.to_parquet(index=False))
         page = fleet_page(folder, plan.units, runs, errors, population)
-        record = json.dumps(population.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        texts = {folder / "population.json": f"{record}\n", folder / "fleet.html": page}
+        record = population_record(population)
+        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+        texts = {folder / "population.json": f"{text}\n", folder / "fleet.html": page}
         write_files(texts, replace=True)
+        names = [unit.name for unit in plan.units]
         outcomes = Counter(
-            FAILED if unit.name in errors else runs[unit.name].verdict.outcome
-            for unit in plan.units
+            FAILED if name in errors else runs[name].verdict.outcome for name in names
         )
         return FleetRun(
             folder=folder,
-            units=len(plan.units),
+            units=len(names),
             again=again,
-            failed={unit.name: failed[unit.name] for unit in plan.units if unit.name in failed},
+            failed={name: failed[name] for name in names if name in failed},
             left=left,
             outcomes=dict(outcomes),
             seconds=time.monotonic() - start,
             cpu_seconds=cpu_seconds + time.process_time(),
             population=population,
         )
-
-
-Table = TypeVar("Table", bound=BaseModel)
-
-
-def _options(kind: type[Table], keys: Mapping[str, Any], name: str) -> Table:
-    try:
-        return kind.model_validate(dict(keys), strict=True)
-    except ValidationError as error:
-        raise configuration_error(f"Fleet: {name}.", name, error, keys, kind) from None
-
-
-def _check(folder: Path, *, resume: bool) -> None:
-    """Refuse a folder that is not empty, or has no fleet to resume."""
-    if folder.exists() and not folder.is_dir():
-        raise BadInput(str(folder), "is a file", "name a folder with -o")
-    has_fleet = (folder / PLAN).is_file()
-    if resume and not has_fleet:
-        raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
-    # hidden files are of a process that was killed at its start
-    occupied = folder.exists() and any(path.name[0] != "." for path in folder.iterdir())
-    if not resume and occupied:
-        hint = "add --resume to continue, or name another with -o" if has_fleet else ""
-        raise BadInput(str(folder), "is not empty", hint or "name another folder with -o")
-
-
-def _text(plan: Plan) -> str:
-    """Write the record of a fleet's template, units and options."""
-    from bayesfric.problem.config import document_text
-
-    runs = plan.runs.model_dump()
-    units = {"count": len(plan.units)}
-    return document_text({"template": plan.template.document, "units": units, "runs": runs})

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
 from bayesfric.population.population import WithOutliers, with_outliers
-from bayesfric.report.comparison.between_runs import SharedQuantity, read_draws, shared_quantities
+from bayesfric.report.comparison.between_runs import read_draws, shared_quantities
 from bayesfric.report.summary.record import PosteriorRow, Summary
 
 if TYPE_CHECKING:
     import pandas as pd
+
+# Probability from which a unit is reported as an outlier.
+OUTLIER = 0.5
 
 
 def results_table(
@@ -52,13 +55,9 @@ def results_table(
     return table.join(columns[[name for name in columns if name not in COLUMNS]], on="unit")
 
 
-# Probability from which a unit is reported as an outlier.
-OUTLIER = 0.5
-
-
 @dataclass(frozen=True, eq=False)
 class FleetQuantity:
-    """One quantity that the data of two units or more determine."""
+    """The population of a quantity that the data of two units or more determine."""
 
     name: str
     units: Mapping[str, PosteriorRow]  # those pooled
@@ -86,56 +85,44 @@ class FleetQuantity:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class FleetPopulation:
-    """The population of each quantity."""
-
-    quantities: Sequence[FleetQuantity] = ()
-
-    @property
-    def outliers(self) -> list[tuple[str, float, str]]:
-        """Units with probability and quantity, the likeliest first."""
-        worst: dict[str, tuple[float, float, str]] = {}
-        for quantity in self.quantities:
-            for unit, p in quantity.outlying.items():
-                entry = (round(p, 6), quantity.distance[unit], quantity.name)
-                worst[unit] = max(worst.get(unit, entry), entry)
-        ranked = sorted(worst.items(), key=lambda pair: pair[1][:2], reverse=True)
-        return [(unit, p, name) for unit, (p, _, name) in ranked]
-
-    def as_json(self) -> dict[str, Any]:
-        """Give the content of ``population.json``."""
-        return {
-            "quantities": [quantity.as_json() for quantity in self.quantities],
-            "outliers": [
-                {"unit": unit, "probability": p, "quantity": name}
-                for unit, p, name in self.outliers
-                if p >= OUTLIER
-            ],
-        }
-
-
-def fleet_population(folder: Path, runs: Mapping[str, Summary]) -> FleetPopulation:
+def fleet_population(folder: Path, runs: Mapping[str, Summary]) -> list[FleetQuantity]:
     """Pool the finished runs in ``folder``, each named after its unit.
 
     Quantities that a unit's data do not identify, and units that did not converge, are left out.
     """
     draws = {unit: read_draws(folder / unit, summary) for unit, summary in runs.items()}
-    quantities = [
-        _pooled(quantity)
-        for quantity in shared_quantities(runs, draws)
-        # an open scaling of link and gearbox may differ between units
-        if next(iter(quantity.runs.values())).gauge_free is not False
-    ]
-    return FleetPopulation(quantities)
+    population = []
+    for quantity in shared_quantities(runs, draws):
+        if quantity.row.gauge_free is False:
+            continue  # an open scaling of link and gearbox may differ between units
+        pool = with_outliers(list(quantity.likelihoods.values()), quantity.row.level)
+        outlying = dict(zip(quantity.likelihoods, pool.outlying, strict=True))
+        distance = {
+            name: abs(x.mean - pool.mean.median) / math.hypot(x.sd, pool.spread.median)
+            for name, x in quantity.likelihoods.items()
+        }
+        population.append(FleetQuantity(quantity.name, quantity.runs, pool, outlying, distance))
+    return population
 
 
-def _pooled(quantity: SharedQuantity) -> FleetQuantity:
-    level = next(iter(quantity.runs.values())).level
-    pool = with_outliers(list(quantity.likelihoods.values()), level)
-    outlying = dict(zip(quantity.likelihoods, pool.outlying, strict=True))
-    distance = {
-        name: abs(x.mean - pool.mean.median) / math.hypot(x.sd, pool.spread.median)
-        for name, x in quantity.likelihoods.items()
+def ranked_units(population: Sequence[FleetQuantity]) -> dict[str, tuple[float, str]]:
+    """Rank units by their probability of being an outlier, each in its farthest quantity."""
+    worst: dict[str, tuple[float, float, str]] = {}
+    for quantity in population:
+        for unit, p in quantity.outlying.items():
+            entry = (round(p, 6), quantity.distance[unit], quantity.name)
+            worst[unit] = max(worst.get(unit, entry), entry)
+    ranked = sorted(worst.items(), key=lambda pair: pair[1][:2], reverse=True)
+    return {unit: (p, name) for unit, (p, _, name) in ranked}
+
+
+def population_record(population: Sequence[FleetQuantity]) -> dict[str, Any]:
+    """Give the content of ``population.json``."""
+    return {
+        "quantities": [quantity.as_json() for quantity in population],
+        "outliers": [
+            {"unit": unit, "probability": p, "quantity": name}
+            for unit, (p, name) in ranked_units(population).items()
+            if p >= OUTLIER
+        ],
     }
-    return FleetQuantity(quantity.name, quantity.runs, pool, outlying, distance)

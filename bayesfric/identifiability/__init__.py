@@ -6,4 +6,5 @@
   on.
 - :mod:`~bayesfric.identifiability.next_recording`: candidates for the next experiment, ranked by
   what they would leave of one quantity's standard deviation, for ``identify --advise``.
+- :mod:`~bayesfric.identifiability.friction_curve`: what recordings cover, and friction over speed.
 """

@@ -20,7 +20,7 @@ import numpy as np
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.templates import factor, percent
 from bayesfric.estimates.assemble import bounds_met
-from bayesfric.identifiability.coverage import Coverage, back_driving, coverage_of
+from bayesfric.identifiability.friction_curve import Coverage, back_driving, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
@@ -32,7 +32,7 @@ from bayesfric.identifiability.local import (
     prior_rows,
     verdict,
 )
-from bayesfric.identifiability.simulated_recording import (
+from bayesfric.identifiability.next_recording import (
     LAG,
     LINES,
     known_mass,
@@ -44,7 +44,7 @@ from bayesfric.identifiability.simulated_recording import (
     torque_noise,
 )
 from bayesfric.inference.priors import KNOWN
-from bayesfric.inference.target import Target, units_of
+from bayesfric.inference.target import Target
 from bayesfric.mechanism import experiment
 from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
@@ -136,13 +136,13 @@ class Identification:
         import pandas as pd
 
         table = pd.DataFrame([vars(prospect) for prospect in self.parameters]).set_index("name")
-        sharing = [
-            [name for d in self.directions if label in d.exponents for name in d.exponents]
+        together = {
+            label: [name for d in self.directions if label in d.exponents for name in d.exponents]
             for label in self.local.labels
-        ]
+        }
         table["open_with"] = [
             ", ".join(dict.fromkeys(name for name in names if name != label))
-            for label, names in zip(self.local.labels, sharing, strict=True)
+            for label, names in together.items()
         ]
         return table
 
@@ -490,8 +490,7 @@ class SpeedTerm:
     recordings: tuple[str, ...]  # whose torque comes from a voltage
     nominal: float  # the largest kt²/R, in N m s or N s/m at the motor
     unit: str
-    same_as_back_emf: tuple[str, ...]  # parameters whose effect, single or joint, is collinear
-    explained: float  # share of the term's square that parameters make up for, 0 to 1
+    same_as_back_emf: tuple[str, ...]  # the free viscous losses of the motor's side
 
     @property
     def meaning(self) -> str:
@@ -502,7 +501,7 @@ class SpeedTerm:
             f"back-EMF kt²/R ({self.nominal:.3g} {self.unit}, at the motor) times speed"
         )
         if not names:
-            return f"{premise}; parameters explain {100.0 * self.explained:.0f} % of an error in it"
+            return f"{premise}; no viscous loss makes up for an error in it"
         return (
             f"{premise}; viscous loss and back-EMF are indistinguishable: it has exactly the shape"
             f" of {names}: viscous loss plus the error of the nominal kt²/R. A measured current, or"
@@ -510,40 +509,29 @@ class SpeedTerm:
         )
 
 
-def speed_term(
-    target: Target, parameters: Array, recordings: Sequence[Measurement], collinear: float = 1e-6
-) -> SpeedTerm | None:
-    """Project a torque proportional to speed on the effects of the parameters.
+def speed_term(target: Target, recordings: Sequence[Measurement]) -> SpeedTerm | None:
+    """List the viscous losses that an error of the nominal back-EMF is collinear with.
 
     With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
-    motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. That,
-    filtered and whitened as the torque is, is projected on the columns of the Jacobian;
-    ``collinear`` is the sine of the angle below which two columns are.
+    motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. So is a
+    viscous loss that no load-dependent friction passes on.
     """
-    observations = target.likelihood.observations
-    nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}
-    names = tuple(o.name for o in observations if o.name in nominal)
-    if not names:
+    chain, names = target.likelihood.chain, {o.name for o in target.likelihood.observations}
+    nominal = {r.name: r.nominal_back_emf for r in recordings if r.name in names}
+    driven = {name: value for name, value in nominal.items() if value}
+    if not driven:
         return None
-    at, values = units_of(target, parameters), target.chain_values(parameters[None])[0]
-    noises = [torque_noise(target, parameters, r) for r in range(len(observations))]
-    pairs = list(zip(observations, noises, strict=True))
-    jacobian = np.concatenate([scaled_jacobian(target, o, values, at, n) for o, n in pairs])
-    terms = [n(o.filter.apply(o.qd) * (o.name in names), o) for o, n in pairs]
-    term = np.concatenate(terms)
-    term /= np.linalg.norm(term)
-    sizes = np.linalg.norm(jacobian, axis=0)
-    unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
-    apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
-    same = np.flatnonzero((sizes > 0.0) & (apart < collinear))
-    coefficients = np.linalg.lstsq(unit, term, rcond=1e-9)[0]
-    residual = term - unit @ coefficients
-    if not same.size and np.linalg.norm(residual) < collinear:  # as of friction by direction
-        same = np.flatnonzero(np.abs(coefficients) > collinear)
+    lossy = [k for k, element in enumerate(chain.elements) if element.load_loss != "none"]
+    first = lossy[0] + 1 if lossy else len(chain.elements)
+    before = {element.name for element in chain.elements[:first]}
+    viscous = "viscous", "viscous_positive", "viscous_negative"
     return SpeedTerm(
-        names,
-        max(nominal[name] for name in names),
-        "N m s" if target.likelihood.chain.motor_motion == "rotary" else "N s/m",
-        tuple(target.free[j] for j in same),
-        float(1.0 - residual @ residual),
+        tuple(driven),
+        max(driven.values()),
+        "N m s" if chain.motor_motion == "rotary" else "N s/m",
+        tuple(
+            p.name
+            for p in chain.parameters
+            if p.name in target.free and p.owner in before and p.quantity in viscous
+        ),
     )

@@ -17,7 +17,7 @@ from bayesfric.estimates.autoregression import burg
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.estimates.torque import torque_jacobian, typical_load
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import LocalUnits, Target, units_of
 from bayesfric.mechanism.derived import Derived, derive

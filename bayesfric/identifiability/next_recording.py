@@ -8,13 +8,15 @@ References
 ----------
 .. [1] K. Chaloner, I. Verdinelli, "Bayesian experimental design: a review", Statistical Science 10
    (1995) 273-304.
+
+Simulated recordings pass the filters of a measured one, and have its noise.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,38 +25,31 @@ from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import open_directions
+from bayesfric.estimates.autoregression import follows
 from bayesfric.estimates.information import directions
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.coverage import back_driving
+from bayesfric.identifiability.friction_curve import back_driving
 from bayesfric.identifiability.local import (
     LocalInformation,
     derived_gradients,
     fixed_in,
     joined,
     prior_rows,
+    torque_changes,
 )
-from bayesfric.identifiability.simulated_recording import (
-    HEAVIEST,
-    LINES,
-    known_mass,
-    longest_stretch,
-    of_load,
-    sample_period,
-    scaled_jacobian,
-    simulate_recording,
-    sines,
-    square_with_sines,
-    torque_noise,
-)
-from bayesfric.inference.target import Target
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.noise import Autoregressive
+from bayesfric.inference.target import LocalUnits, Target
 from bayesfric.mechanism import experiment
-from bayesfric.mechanism.forward import RunsAway
+from bayesfric.mechanism.forward import RunsAway, simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import TURN
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.measurement import Inputs, steady
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.checks import moving_samples
+from bayesfric.recordings.filters import derivative, lay_windows, lowpass
+from bayesfric.recordings.measurement import AT_ROOM, Inputs, steady
+from bayesfric.recordings.observation import Observation, as_position, retimed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,7 +62,14 @@ ASSUMPTION = (
 )
 # Longest default recording, s and samples.
 _LONGEST, _LONGEST_SAMPLES = 30.0, 60_000
+# Time constant of a current loop, as in the paper's bench, s; and the largest mass to propose, kg.
+LAG, HEAVIEST = 0.005, 5.0
+# Sines that are most informative, and slower ones, as multiples of the joint's pace.
+LINES: Array = np.array([0.37, 0.73, 1.3, 2.9, 5.3])
 _LINES = {"slow multisine": np.array([0.13, 0.29, 0.53, 0.97, 1.9]), "multisine": LINES}
+
+# Whitens changes of the torque (..., M) of a recording to unit noise.
+Whitening = Callable[[Array, Observation], Array]
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,18 @@ class Limits:
     held: bool = False  # whether a controller held the joint: only its motion can be repeated
 
 
+@dataclass(frozen=True)
+class Uncertainty:
+    """How well the quantity is known."""
+
+    sd: float = np.nan  # from recordings and prior, in the quantity's unit
+    relative_sd: float | None = None  # as a share of the value, if recordings determine that
+    data_sd: float = np.nan  # from the recordings alone; infinite where they leave it open
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A command for the motor, and the mass on the load."""
+    """A command for the motor and the mass on the load; and once it is simulated, its effect."""
 
     kind: CandidateKind
     form: str  # name of the signal, without the amplitude
@@ -102,6 +113,11 @@ class Candidate:
     made: Observation | None = None
     lowered: float = 1.0  # factor on the torque that keeps the limits
     because_of: str | None = None  # the limit that required it
+    after: Uncertainty = Uncertainty()  # with this recording
+    # share of moving outputs in which the load drives each element
+    load_drives: dict[str, float] = field(default_factory=dict)
+    peak_speed: float = np.nan  # rad/s or m/s
+    angles: tuple[float, float] = (np.nan, np.nan)  # lowest and highest position, rad or m
 
     @property
     def duration(self) -> float:
@@ -291,26 +307,6 @@ def _equilibrium(chain: Joint, values: Array, near: float) -> float:
     return float(-angle + TURN * np.round((near + angle) / TURN))
 
 
-@dataclass(frozen=True)
-class Uncertainty:
-    """How well the quantity is known."""
-
-    sd: float  # from recordings and prior, in the quantity's unit
-    relative_sd: float | None  # as a share of the value, if recordings determine that
-    data_sd: float  # from the recordings alone; infinite where they leave it open
-
-
-@dataclass(frozen=True, eq=False)
-class Advice:
-    """A candidate within the limits, and its effect."""
-
-    candidate: Candidate
-    after: Uncertainty  # with this recording
-    load_drives: dict[str, float]  # share of moving outputs in which the load drives each element
-    peak_speed: float  # rad/s or m/s
-    angles: tuple[float, float]  # lowest and highest position, rad or m
-
-
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """Candidates by the sd that they would leave of one quantity, the best first."""
@@ -320,35 +316,35 @@ class Ranking:
     meaning: str
     value: float  # at the estimate; arbitrary where now.data_sd is infinite
     now: Uncertainty
-    advices: tuple[Advice, ...]
+    candidates: tuple[Candidate, ...]
     dropped: tuple[tuple[Candidate, str], ...]  # candidates that cannot be played, and why
     limits: Limits
 
     @property
     def determined(self) -> bool:
         """Whether present recordings and a candidate would determine it without the prior."""
-        return any(np.isfinite(advice.after.data_sd) for advice in self.advices)
+        return any(np.isfinite(row.after.data_sd) for row in self.candidates)
 
     @property
     def worth(self) -> bool:
         """Whether the best candidate leaves less than 95 % of the sd that is left now."""
-        best = self.advices[0].after if self.advices else self.now
+        best = self.candidates[0].after if self.candidates else self.now
         return bool(np.isfinite(best.sd)) and best.sd < 0.95 * self.now.sd
 
     @property
     def verdict(self) -> str:
         """Whether a candidate is worth the effort, in a sentence."""
-        if not self.advices:
+        if not self.candidates:
             return "None of the candidates can be played within the limits."
         if not self.determined:
             mass = "; a known mass (masses in [advice]) may" * (len(self.limits.masses) < 2)
             problem = f"None of the candidates determines {self.quantity}"
             return f"{problem}: with any of them, it depends on the priors{mass}."
-        share = self.advices[0].after.sd / self.now.sd
+        share = self.candidates[0].after.sd / self.now.sd
         if not self.worth:
             left = f"the best leaves {100.0 * share:.0f} % of the sd there is"
             return f"None of the candidates is worth the effort: {left}."
-        if not np.isfinite(self.advices[0].after.data_sd):
+        if not np.isfinite(self.candidates[0].after.data_sd):
             return "The best leaves it to the priors where they are narrower than the data are."
         if not np.isfinite(self.now.data_sd):
             open_ = "The recordings there are leave it open"
@@ -362,12 +358,13 @@ class Ranking:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``identify --advise --json`` prints; what is infinite is ``None``."""
-        rows = []
-        for rank, advice in enumerate(self.advices, start=1):
-            tried = advice.candidate
-            limit = {"torque_lowered_to": tried.lowered, "because_of": tried.because_of}
-            effect = {name: x for name, x in vars(advice).items() if name != "candidate"}
-            rows.append(_described(tried) | {"rank": rank} | effect | limit)
+        names = "after", "load_drives", "peak_speed", "angles", "because_of"
+        rows = [
+            _described(row)
+            | {"rank": rank, "torque_lowered_to": row.lowered}
+            | {name: getattr(row, name) for name in names}
+            for rank, row in enumerate(self.candidates, start=1)
+        ]
         masses = [(m.added_mass, m.radius) for m in self.limits.masses if m.added_mass]
         fields = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
         fields |= {
@@ -446,7 +443,7 @@ def ranking(
         share = sd / abs(value) if np.isfinite(data_sd) and value != 0.0 else None
         return Uncertainty(sd, share, data_sd)
 
-    advices, dropped = [], []
+    ranked, dropped = [], []
     for candidate in candidates(chain, at_estimate, observations, limits):
         progress(f"simulating {candidate.form}")
         result = try_out(chain, values, base, candidate, limits)
@@ -454,13 +451,16 @@ def ranking(
             dropped.append((candidate, result))
             continue
         played, o = result
-        drives = back_driving(chain, [o], values)
-        peak = fastest(o) if played.made is not None else float(np.abs(o.qd).max())
-        ends = float(o.q.min()), float(o.q.max())
-        advices.append(Advice(played, uncertainty_with(o), drives, peak, ends))
-    advices.sort(key=lambda advice: (advice.after.sd, advice.after.data_sd))
+        effect: dict[str, Any] = {
+            "after": uncertainty_with(o),
+            "load_drives": back_driving(chain, [o], values),
+            "peak_speed": fastest(o) if played.made else float(np.abs(o.qd).max()),
+            "angles": (float(o.q.min()), float(o.q.max())),
+        }
+        ranked.append(replace(played, **effect))
+    ranked.sort(key=lambda row: (row.after.sd, row.after.data_sd))
     return Ranking(
-        name, unit, meaning, value, uncertainty_with(), tuple(advices), tuple(dropped), limits
+        name, unit, meaning, value, uncertainty_with(), tuple(ranked), tuple(dropped), limits
     )
 
 
@@ -500,3 +500,141 @@ def _simulable(target: Target, parameters: Array, local: LocalInformation) -> Ar
         if row.role == "form" and row.lower == 0.0 < row.default:
             moved[k] = max(moved[k], 1e-3 * abs(float(local.units[k])))
     return np.asarray(target.chain_values(moved[None])[0])
+
+
+# Recordings simulated at the estimate with another mass or torque
+
+
+def sample_period(observation: Observation) -> float:
+    """Time from one raw sample to the next, s."""
+    step = np.diff(observation.filter.starts)
+    return observation.period / max(int(step.min(initial=step[:1].sum())), 1)
+
+
+def of_load(chain: Joint, values: Array) -> dict[str, float]:
+    """Give the load's parameters among ``values`` ``(n_parameters,)``, by quantity."""
+    pairs = zip(chain.parameters, values.tolist(), strict=True)
+    return {p.quantity: value for p, value in pairs if p.owner == "load"}
+
+
+def known_mass(chain: Joint, values: Array) -> Inputs:
+    """Choose a mass and a radius about as heavy as the load, rounded."""
+    load = of_load(chain, values)
+    inertia, moment = load.get("inertia", 0.0), load.get("first_moment", 0.0)
+    # total inertia at the joint, for a load without an inertia
+    time = np.zeros(2)
+    motion = [0.0, 0.0], [0.0, 0.0], [0.0, 1.0]
+    torques = inverse_torque(chain, values, *motion, inputs=AT_ROOM, time=time)
+    total_inertia = inertia if inertia > 0.0 else float(chain.ratio * (torques[1] - torques[0]))
+    radius = 0.0 if chain.load.motion == "linear" else 0.35
+    if radius == 0.0 or moment <= 0.0:
+        mass = total_inertia / (radius**2 or 1.0)
+        return Inputs(_two_digits(min(mass, HEAVIEST)) if total_inertia > 0.0 else 2.0, radius)
+    if inertia > 0.0:
+        radius = float(np.clip(inertia / moment, 0.05, 1.0))
+    elif moment <= 0.1:
+        radius = 0.1
+    return Inputs(_two_digits(min(moment / radius, HEAVIEST)), _two_digits(radius))
+
+
+def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
+    """Make a signal of peak one, a square wave with a multisine of ``lines`` Hz on it, ``(N,)``."""
+    return experiment.square(time, 0.6, hertz) + 0.4 * sines(time, lines)
+
+
+def sines(time: Array, lines: Array) -> Array:
+    """Make a multisine of peak one and ``lines`` Hz, ``(N,)``."""
+    signal = experiment.multisine(time, 1.0, lines)
+    return np.asarray(signal / max(float(np.abs(signal).max()), 1e-12))
+
+
+def torque_noise(target: Target, parameters: Array, number: int) -> Whitening:
+    """Return the whitening by the noise of a recording's filtered torque, for any likelihood."""
+    scales = target.noise.scales(parameters[None, len(target.free) :])[0, number]
+    likelihood, model = target.likelihood, Autoregressive()
+    if isinstance(likelihood, TorqueLikelihood):
+        model = likelihood.noise
+    else:  # the noise of a sample, filtered
+        taps = likelihood.observations[number].filter.taps
+        scales = scales[:1] * float(np.linalg.norm(taps))
+    return lambda rows, observation: model.standard(rows, follows(observation), scales)[0]
+
+
+def scaled_jacobian(
+    target: Target, observation: Observation, values: Array, at: LocalUnits, whiten: Whitening
+) -> Array:
+    """Differentiate a recording's filtered torque over its noise, ``(n_outputs, d)``."""
+    jacobian = torque_changes(target.likelihood.chain, [observation], values, at) * at.units
+    return whiten(jacobian.T, observation).T
+
+
+def longest_stretch(observation: Observation, duration: float | None = 10.0) -> slice:
+    """Give the longest segment that outputs come from, at most ``duration`` s of it."""
+    segment_of = observation.segment_of
+    segments, counts = np.unique(segment_of, return_counts=True)
+    starts = observation.filter.starts[segment_of == segments[int(np.argmax(counts))]]
+    first = int(starts[0])
+    last = int(starts[-1]) + len(observation.filter.taps)
+    if duration is None:
+        return slice(first, last)
+    samples = min(20_000, int(duration / sample_period(observation)))
+    return slice(first, min(last, first + samples))
+
+
+def simulate_recording(
+    chain: Joint,
+    values: Array,
+    observation: Observation,
+    torque: Array,
+    inputs: Inputs,
+    initial: tuple[float, float] | None = None,
+) -> Observation:
+    """Simulate a torque ``(N,)`` and prepare it like a recording; ValueError at standstill."""
+    if initial is None:
+        first = longest_stretch(observation).start
+        initial = float(observation.q[first]), float(observation.qd[first])
+    period, size = sample_period(observation), torque.size
+    inputs = replace(inputs, recording=observation.inputs.recording)
+    q0, qd0 = initial
+    motion = simulate(chain, values, torque, period, q0=q0, qd0=qd0, inputs=inputs, substeps=4)
+    settings, segments = observation.settings, ((0, torque.size),)
+    q, qd, qdd = motion.q, motion.qd, motion.qdd
+    cutoff, order = float(settings.get("lowpass", 0.0)), int(settings.get("order", 0))
+    # filtered and differentiated like the recording, so that it blurs as much
+    if cutoff and order and settings.get("motion") != "refined":
+        reach = int(settings.get("reach", 1))
+        q = lowpass(q, segments, 1.0 / period, cutoff, order)
+        qd = derivative(q, segments, period, reach)
+        qdd = derivative(qd, segments, period, reach)
+    slow = 0.01 * float(np.quantile(np.abs(observation.qd), 0.99))
+    trim = int(settings.get("trim_samples", 0))
+    step = max(round(observation.period / period), 1)
+    guard = int(settings.get("guard", size))
+    moving = moving_samples(qd, segments, float(settings.get("dead_zone", slow)), guard)
+    span = (trim, max(size - trim, trim))
+    windows = lay_windows(observation.filter.taps, (span,), step, moving & (motion.qd != 0.0))
+    if windows.n_outputs < 20:
+        raise ValueError("the joint hardly moves")
+    recording = replace(
+        observation,
+        name="simulated",
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        smooth=None,
+        torque=torque,
+        filter=windows,
+        time=motion.time[windows.centres],
+        measured=windows.apply(as_position(torque, segments, period, settings)),
+        speed=qd[windows.centres],
+        segment_of=np.zeros(windows.n_outputs, dtype=np.int64),
+        stamps=motion.time,
+        inputs=inputs,
+    )
+    if not chain.delay:
+        return recording
+    return retimed(recording, segments, period, float(chain.delays(values[None])[0]))
+
+
+def _two_digits(x: float) -> float:
+    return float(f"{x:.2g}")

@@ -31,7 +31,7 @@ def choose_coordinates(
         if back is None or (back.value if back.fixed else back.upper) <= 1.0:
             return GearboxCoordinates(chain, priors, widths)
     free = [priors[name] for name in chain.names if not priors[name].fixed]
-    return BoundedCoordinates([p.lower for p in free], [p.upper for p in free], widths)
+    return BoundedCoordinates.of(free, widths)
 
 
 class BoundedCoordinates:
@@ -63,6 +63,11 @@ class BoundedCoordinates:
         self._span = np.where(self._between, span, 1.0)
         self._low = np.where(low, self.lower, 0.0)
         self._high = np.where(high, self.upper, 0.0)
+
+    @classmethod
+    def of(cls, priors: Sequence[Prior], widths: Array | None = None) -> BoundedCoordinates:
+        """Make the coordinates of parameters with priors."""
+        return cls([p.lower for p in priors], [p.upper for p in priors], widths)
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """Map ``(n, d)`` to parameters and the log Jacobian ``(n,)``, ``-inf`` if impossible."""
@@ -173,10 +178,8 @@ class GearboxCoordinates:
         represented |= set() if self._scale == "one" else {self._drive, self._back}
         self._others = np.array([i for i in range(len(free)) if i not in represented], dtype=int)
         others = [priors[free[i]] for i in self._others]
-        self._bounded = BoundedCoordinates(
-            [p.lower for p in others],
-            [p.upper for p in others],
-            None if widths is None else widths[self._others],
+        self._bounded = BoundedCoordinates.of(
+            others, None if widths is None else widths[self._others]
         )
         self.is_nonlinear = self._scale not in ("one", "known")
         has_scale = self._scale in ("place", "drive", "moment", "known leg")
@@ -213,11 +216,11 @@ class GearboxCoordinates:
                 with_known_leg - a * self._known_leg
             ) / self._with_known_leg_torque
             # of a share and the total: D / (c_a A c_b)
-            slope = slope + (np.log(totals / (self._front_torque * self._leg_torque))).sum(axis=1)
+            slope = slope + np.log(totals / (self._front_torque * self._leg_torque)).sum(axis=1)
             slope = slope + _log_normal(shares).sum(axis=1)
             slope = slope - (self._leg.size + self._unpaired.size) * log_a
-            slope = slope - np.log(self._unpaired_torque).sum()
-            slope = slope - np.log(self._with_known_leg_torque).sum()
+            constant = np.concatenate([self._unpaired_torque, self._with_known_leg_torque])
+            slope = slope - np.log(constant).sum()
             possible = np.isfinite(slope) & np.isfinite(out).all(axis=1)
         return out, np.where(possible, slope, -np.inf)
 
@@ -229,31 +232,25 @@ class GearboxCoordinates:
         """
         if not self.is_nonlinear:
             return u, np.zeros(len(u))
-        v = u.copy()
-        totals, shares, m_index = self._parts(u)
+        v, k, m_index = u.copy(), self._leg.size, self._ends[4]
+        totals, shares = u[:, :k], u[:, k : 2 * k]
         m, first_total = ndtr(u[:, m_index]), self._first_unpaired(u)
         with np.errstate(all="ignore"):
-            v[:, totals.stop : 2 * totals.stop] = u[:, totals] * ndtr(shares) * m[:, None]
+            v[:, k : 2 * k] = totals * ndtr(shares) * m[:, None]
             v[:, m_index] = first_total * m
-            slope = _log_normal(shares).sum(axis=1) + np.log(u[:, totals] * m[:, None]).sum(axis=1)
+            slope = _log_normal(shares).sum(axis=1) + np.log(totals * m[:, None]).sum(axis=1)
             return v, np.asarray(slope + np.log(first_total) + _log_normal(u[:, m_index]))
 
     def from_linear(self, v: Array) -> Array:
         """Map linear coordinates ``(n, d)`` back; impossible rows are not finite."""
         if not self.is_nonlinear:
             return v
-        u = v.copy()
-        totals, missing, m_index = self._parts(v)
+        u, k, m_index = v.copy(), self._leg.size, self._ends[4]
         with np.errstate(all="ignore"):
             m = v[:, m_index] / self._first_unpaired(v)
-            u[:, totals.stop : 2 * totals.stop] = ndtri(missing / (v[:, totals] * m[:, None]))
+            u[:, k : 2 * k] = ndtri(v[:, k : 2 * k] / (v[:, :k] * m[:, None]))
             u[:, m_index] = ndtri(m)
         return u
-
-    def _parts(self, u: Array) -> tuple[slice, Array, int]:
-        """Return the slice of pairs' torques, their shares, and the index of ``m``."""
-        k = self._leg.size
-        return slice(0, k), u[:, k : 2 * k], int(self._ends[4])
 
     def _first_unpaired(self, u: Array) -> Array:
         """Return the first torque that is only behind the loss, or one if its sign is unknown."""
@@ -267,11 +264,9 @@ class GearboxCoordinates:
         ``missing`` is the quantile of ``m`` in its range, ``scale`` the coordinate of the scale.
         """
         zeros, kind = np.zeros(out.shape[0]), self._scale
-        if kind == "one":
-            loss = out[:, self._drive] if self._drive >= 0 else self._known_drive + zeros
-            return np.log1p(loss), zeros, zeros
-        if kind == "known":
-            return np.log1p(self._known_drive) + zeros, zeros, zeros
+        if kind in ("one", "known"):
+            loss = out[:, self._drive] if self._drive >= 0 else self._known_drive
+            return np.log1p(loss) + zeros, zeros, zeros
         # a known loss limits the range of m
         minimum = {
             "known drive": self._known_drive / (1.0 + self._known_drive),

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
 from scipy.stats import chi2, rankdata
 
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array, Flags
@@ -178,6 +178,7 @@ class LinearisedFit:
         v = v[np.isfinite(v).all(axis=1)]
         # (k, k) coordinates of a unit step along each axis
         self.root = np.linalg.cholesky(np.atleast_2d(np.cov(v[:, :k].T)))
+        self.covariance: Array = self.root @ self.root.T  # (k, k) of the posterior
         # the step is large: a kink's effect on a draw counts, not its slope
         steps, size = np.zeros((2 * k + 1, v.shape[1])), 0.3
         steps[:k, :k], steps[k : 2 * k, :k] = self.root.T, -self.root.T
@@ -194,23 +195,20 @@ class LinearisedFit:
             weighted = [x / np.sqrt(share) for x, share in zip(innovations, shares, strict=True)]
             return np.concatenate(weighted, axis=-1).T
 
-        def changes(part: TorqueLikelihood, shares: Array) -> tuple[Array, Array]:
-            predicted = part.predict(target.chain_values(parameters))
-            slopes = [(p[:k] - p[k : 2 * k]) / (2.0 * size) for p in predicted]
-            residuals = [o.measured - p[-1] for o, p in zip(part.outputs, predicted, strict=True)]
-            return whitened(part, slopes, shares), whitened(part, residuals, shares)
+        def slopes(predicted: Sequence[Array]) -> list[Array]:
+            return [(p[:k] - p[k : 2 * k]) / (2.0 * size) for p in predicted]
 
+        values = target.chain_values(parameters)
+        predicted = self.likelihood.predict(values)
+        residuals = [o.measured - p[-1] for o, p in zip(observations, predicted, strict=True)]
         self.whitened = partial(whitened, self.likelihood, shares=shares)
         # (n, k) change of whitened outputs for a unit step, and whitened residual (n,)
-        self.rows, self.residual = changes(self.likelihood, shares)
-        full_rows = changes(full, np.ones(len(shares)))[0] if (shares < 1.0).any() else self.rows
+        self.rows, self.residual = self.whitened(slopes(predicted)), self.whitened(residuals)
+        full_rows = self.rows
+        if (shares < 1.0).any():
+            full_rows = whitened(full, slopes(full.predict(values)), np.ones(len(shares)))
         # (k, k) information beyond the likelihood's
         self.prior = _raised_eigenvalues(np.eye(k) - full_rows.T @ full_rows, 0.0)
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance ``(k, k)`` of the posterior."""
-        return np.asarray(self.root @ self.root.T)
 
     def estimator(self, weights: Array | float = 1.0) -> Array:
         """Return the estimate's change ``(k, n)`` per unit change of each weighted output."""
@@ -364,16 +362,12 @@ class _Candidates:
 
     def log_evidence(self, g: int) -> Array:
         """Log evidence ``(shapes, scales)`` of kind ``g``, given all others."""
-        active, sd = self._active()
-        others = (np.arange(len(sd)) != g)[:, None] & (
-            sd**2 * np.diagonal(self.rough_gram)[active] > 1e-4 * self.variance
-        )
-        active, sd = active[others], sd[others]
+        active, sd, root = self._active(1e-4 * self.variance, g)
         shapes = self.shapes[g][:, : self.widths[g]]
         gram = self.rough_gram[shapes[:, :, None], shapes[:, None, :]]
         scores = self.scores[shapes]
         if active.size:  # project the others out
-            root = np.linalg.inv(np.linalg.cholesky(self._precision(active, sd))) * sd
+            root = root * sd
             cross = root @ self.rough_gram[active[:, None], shapes.ravel()]
             by_shape = cross.reshape(-1, *shapes.shape).transpose(1, 2, 0)  # (shapes, width, .)
             gram = gram - by_shape @ by_shape.transpose(0, 2, 1) / self.variance
@@ -387,10 +381,8 @@ class _Candidates:
 
     def sizes(self) -> tuple[Array, Array, Index]:
         """Return mean ``(active,)`` and root ``(active, active)`` of sizes given their scales."""
-        active, sd = self._active()
-        present = np.diagonal(self.rough_gram)[active] > 0.0
-        active, sd = active[present], sd[present]
-        root = sd[:, None] * np.linalg.inv(np.linalg.cholesky(self._precision(active, sd))).T
+        active, sd, root = self._active(0.0)
+        root = sd[:, None] * root.T
         return root @ (root.T @ self.scores[active]) / self.variance, root, active
 
     def residual_power(self, active: Index, size: Array) -> float:
@@ -399,14 +391,18 @@ class _Candidates:
         power += size @ self.gram[active[:, None], active] @ size
         return max(float(power), 1e-4 * self.power)
 
-    def _active(self) -> tuple[Index, Array]:
-        """Return indices and standard deviations ``(kinds, width)`` of the included columns."""
-        return self.included, np.repeat(_SCALES[self.scale, None], self.included.shape[1], axis=1)
+    def _active(self, least: float, other_than: int = -1) -> tuple[Index, Array, Array]:
+        """Return included columns ``(active,)`` of at least some power, their sds and their root.
 
-    def _precision(self, active: Index, sd: Array) -> Array:
-        """Return the precision ``(active, active)`` of sizes over their standard deviations."""
+        The root is the inverse of a Cholesky factor of their sizes' precision over these sds.
+        """
+        kinds, width = self.included.shape
+        sd = np.repeat(_SCALES[self.scale, None], width, axis=1)
+        powerful = sd**2 * np.diagonal(self.rough_gram)[self.included] > least
+        powerful &= (np.arange(kinds) != other_than)[:, None]
+        active, sd = self.included[powerful], sd[powerful]
         scaled = sd[:, None] * self.rough_gram[active[:, None], active] * sd / self.variance
-        return np.asarray(scaled + np.eye(active.size))
+        return active, sd, np.linalg.inv(np.linalg.cholesky(scaled + np.eye(active.size)))
 
 
 def _categorical(log_weights: Array, rng: np.random.Generator) -> int:

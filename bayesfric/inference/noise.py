@@ -24,11 +24,11 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 from bayesfric.estimates import autoregression as ar
-from bayesfric.estimates.least_squares import TypicalSizes
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.inference.moments.residual_moments import Moments
+from bayesfric.inference.moments import Moments
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import TypicalSizes
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.observation import Observation
 
@@ -55,9 +55,7 @@ class Scale:
     upper: float = np.inf
     # of a torque, a position, or none
     unit: Literal["torque", "position", ""] = "torque"
-    # whether all recordings share it in any case
-    shared: bool = False
-    # whether the residuals of an estimate determine if it is used
+    # whether all recordings share it, and the residuals of an estimate determine if it is used
     chosen: bool = False
 
     def read_prior(self, texts: Mapping[str, PriorText], sizes: TypicalSizes) -> Prior:
@@ -85,17 +83,36 @@ class NoiseDescription:
         self.quantities = tuple(scale.name for scale in scales)
 
 
-@dataclass(frozen=True, eq=False)
 class Noise:
-    """Noise scales, shared by all recordings or some for each."""
+    """Noise scales, shared by all recordings or some for each.
 
-    # noise.sigma or noise.sigma.<recording>, those of the first recording first
-    names: tuple[str, ...]
-    # LaTeX, name of the :class:`Scale`, and prior of each
-    symbols: tuple[str, ...]
-    quantities: tuple[str, ...]
-    priors: tuple[Prior, ...]
-    places: Index  # (R, Q) index of each recording's scales among the names
+    ``names`` are noise.sigma or noise.sigma.<recording>, those of the first recording first, with
+    LaTeX ``symbols``, names of their :class:`Scale` and ``priors``; ``places`` ``(R, Q)`` are each
+    recording's among them.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[str],
+        scales: Sequence[Scale],
+        priors: Mapping[str, Prior],
+        scale: NoiseScale,
+    ) -> None:
+        separate = scale == "per-recording" and len(recordings) > 1
+        sampled: dict[str, tuple[str, str, Prior]] = {}
+        self.places = np.zeros((len(recordings), len(scales)), dtype=np.int64)
+        for i, recording in enumerate(recordings):
+            for j, quantity in enumerate(scales):
+                name, symbol = f"noise.{quantity.name}", quantity.symbol
+                prior = priors[name]
+                if separate and not quantity.chosen:
+                    name = f"{name}.{recording}"
+                    base, _, subscript = symbol.partition("_")
+                    symbol = f"{base}_{{{subscript}{',' * bool(subscript)}{i + 1}}}"
+                sampled.setdefault(name, (symbol, quantity.name, prior))
+                self.places[i, j] = list(sampled).index(name)
+        self.names = tuple(sampled)
+        self.symbols, self.quantities, self.priors = zip(*sampled.values(), strict=True)
 
     def scales(self, parameters: Array) -> Array:
         """Return every recording's scales ``(n, R, Q)`` of parameters ``(n, len(names))``."""
@@ -109,34 +126,6 @@ class Noise:
         return out
 
 
-def noise_of(
-    recordings: Sequence[str],
-    scales: Sequence[Scale],
-    priors: Mapping[str, Prior],
-    scale: NoiseScale,
-) -> Noise:
-    """Set up the noise of named recordings."""
-    separate = scale == "per-recording" and len(recordings) > 1
-    sampled: dict[str, tuple[str, str, Prior]] = {}
-    places = np.zeros((len(recordings), len(scales)), dtype=np.int64)
-    for i, recording in enumerate(recordings):
-        for j, quantity in enumerate(scales):
-            name, symbol = f"noise.{quantity.name}", quantity.symbol
-            prior = priors[name]
-            if separate and not quantity.shared:
-                name, symbol = f"{name}.{recording}", _numbered(symbol, i + 1)
-            sampled.setdefault(name, (symbol, quantity.name, prior))
-            places[i, j] = list(sampled).index(name)
-    symbols, quantities, sampled_priors = zip(*sampled.values(), strict=True)
-    return Noise(tuple(sampled), symbols, quantities, sampled_priors, places)
-
-
-def _numbered(symbol: str, number: int) -> str:
-    """Add a recording's number to the subscript of a symbol."""
-    base, _, subscript = symbol.partition("_")
-    return f"{base}_{{{subscript},{number}}}" if subscript else f"{symbol}_{{{number}}}"
-
-
 def _pacf(lag: int) -> Scale:
     """Describe the partial autocorrelation at a lag."""
     return Scale(
@@ -147,7 +136,6 @@ def _pacf(lag: int) -> Scale:
         lower=-1.0,
         upper=1.0,
         unit="",
-        shared=True,
         chosen=True,
     )
 
@@ -198,11 +186,7 @@ class Autoregressive(NoiseDescription):
         super().__init__(scales, words, accounts_for_correlation=order > 0)
 
     def log_density(
-        self,
-        moments: Moments,
-        counts: Index,
-        head_counts: Index,
-        scales: Array,
+        self, moments: Moments, counts: Index, head_counts: Index, scales: Array
     ) -> Array:
         """Exact log density ``(n,)`` from sums of lagged products.
 
@@ -319,12 +303,9 @@ class NoiseChoice:
         for k, middle in enumerate(self.partial, start=1):
             name = f"noise.pacf_{k}"
             if priors[name].default:
-                ends = np.clip(
-                    [middle - self.half_range, middle + self.half_range], -MAX_PARTIAL, MAX_PARTIAL
-                )
-                restricted[name] = read_prior(
-                    name, ends.tolist(), lower=-1.0, upper=1.0, default=True
-                )
+                around = np.array([middle - self.half_range, middle + self.half_range])
+                ends = around.clip(-MAX_PARTIAL, MAX_PARTIAL).tolist()
+                restricted[name] = read_prior(name, ends, lower=-1.0, upper=1.0, default=True)
         return restricted
 
 
@@ -371,10 +352,10 @@ def choose_order(
         return NoiseChoice(0, tuple(evidence))
     sizes = _rms(residuals, per_recording)
     scaled = [r / size for r, size in zip(residuals, sizes, strict=True)]
-    compared: Callable[[Array], tuple[float, float]] = lambda _: (0.0, 1.0)  # noqa: E731
-    if effects is not None:
-        scaled_effects = [x / size for x, size in zip(effects, sizes, strict=True)]
-        compared = _comparison(scaled, follows, scaled_effects)
+    if effects is None:
+        effects = [np.zeros((r.size, 1)) for r in residuals]
+    scaled_effects = [x / size for x, size in zip(effects, sizes, strict=True)]
+    compared = _comparison(scaled, follows, scaled_effects)
     partial = np.clip(ar.burg(scaled, follows, min(MAX_ORDER, n // 20)), -MAX_PARTIAL, MAX_PARTIAL)
     for order in range(1, partial.size + 1):
         first = partial[:order]

@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.assemble import alpha_sign
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
-from bayesfric.inference.likelihood.likelihood import Likelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Noise
-from bayesfric.inference.priors import JointPrior, Prior
+from bayesfric.inference.position_likelihood import PositionLikelihood
+from bayesfric.inference.priors import Prior, joint_log_density
 from bayesfric.recordings.arrays import Array, Flags
+
+Likelihood = TorqueLikelihood | PositionLikelihood
 
 
 class LogPosterior(Protocol):
@@ -77,8 +80,7 @@ class Target(LogPosterior):
         self.free = tuple(name for name in chain.names if not priors[name].fixed)
         self.names = self.free + noise.names
         self.priors = tuple(priors[name] for name in self.free) + noise.priors
-        self._joint_prior = JointPrior(self.priors)
-        self.not_finite = 0
+        self.dimension, self.not_finite = len(self.names), 0
         self._columns = [chain.names.index(name) for name in self.free]
         self._template = np.array(
             [priors[name].value if priors[name].fixed else 0.0 for name in chain.names]
@@ -88,13 +90,7 @@ class Target(LogPosterior):
             (None, None) if widths is None else np.split(widths, [len(self.free)])
         )
         self.coordinates = choose_coordinates(chain, priors, model_widths)
-        low, high = [p.lower for p in noise.priors], [p.upper for p in noise.priors]
-        self._noise_coordinates = BoundedCoordinates(low, high, noise_widths)
-
-    @cached_property
-    def dimension(self) -> int:
-        """Number of sampled parameters."""
-        return len(self.names)
+        self._noise_coordinates = BoundedCoordinates.of(noise.priors, noise_widths)
 
     def with_widths(self, widths: Array) -> Target:
         """Return the same target in coordinates for posterior standard deviations ``(d,)``."""
@@ -112,6 +108,7 @@ class Target(LogPosterior):
 
     def relinearised_at(self, parameters: Array) -> Target:
         """Return the same target with the likelihood linearised at parameters ``(d,)``."""
+        assert isinstance(self.likelihood, PositionLikelihood)
         likelihood = self.likelihood.relinearised_at(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
 
@@ -186,7 +183,7 @@ class Target(LogPosterior):
 
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density ``(n,)`` of parameters ``(n, d)``."""
-        return self._joint_prior.log_density(parameters)
+        return joint_log_density(self.priors, parameters)
 
     def log_likelihood(self, parameters: Array) -> Array:
         """Log-likelihood ``(n,)`` of parameters ``(n, d)``."""

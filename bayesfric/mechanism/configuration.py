@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import AfterValidator, Field, ValidationInfo, create_model, field_validator
 
@@ -17,13 +17,7 @@ from bayesfric.base.options import Options
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.mechanism.quantities import (
-    CHOICES,
-    CYCLES,
-    LOAD_CHOICES,
-    OPTION_MEANINGS,
-    Motion,
-)
+from bayesfric.mechanism.quantities import CHOICES, CYCLE_MEANINGS, LOAD_CHOICES, Motion
 
 
 def _not_zero(value: float) -> float:
@@ -36,40 +30,10 @@ Cycles = Annotated[int, Field(strict=True, ge=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class _Settings(Options):
-    def settings(self) -> dict[str, Any]:
-        """Keys that the configuration sets; the preset's values count for the others."""
-        return self.model_dump(exclude_unset=True)
-
-
-class _Element(_Settings):
-    """One element; what is left out keeps the preset's choice."""
-
-    ratio: Positive = Field(1.0, description="input speed over output speed")
-    motion: Motion = Field("rotary", description="whether the input turns or slides")
-    subscript: str = Field("", description="LaTeX subscript of the symbols")
-
-
-class _Load(_Settings):
-    """The load; what is left out keeps the preset's choice."""
-
-    gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
-        STANDARD_GRAVITY,
-        description="of the earth, m/s²; negative for a joint mounted upside down",
-    )
-    motion: Motion = Field("rotary", description="whether the load turns or slides")
-    signals: tuple[str, ...] = Field(
-        (),
-        description="names of further columns (others of the recording): torques of the load that "
-        "are known up to a coefficient, load.<name>",
-        examples=[("tool_torque",)],
-    )
-
-
-def _fields(options: Mapping[str, Mapping[str | bool, str]]) -> dict[str, Any]:
+def _fields(options: Mapping[str, tuple[tuple[str | bool, ...], str]]) -> dict[str, Any]:
     """Make the fields of a table's options: true or false, or a choice of words."""
     fields: dict[str, Any] = {}
-    for option, choices in options.items():
+    for option, (choices, meaning) in options.items():
         words = tuple(choice for choice in choices if isinstance(choice, str))
         kind: Any = Literal[words] if words else bool
         default: bool | str = False
@@ -77,27 +41,50 @@ def _fields(options: Mapping[str, Mapping[str | bool, str]]) -> dict[str, Any]:
             kind, default = Literal[("none", *words)], "none"
         elif words:
             kind = bool | Literal[words]
-        fields[option] = (kind, Field(default, description=OPTION_MEANINGS[option]))
-    for option in CYCLES:
-        field = Field((), description=OPTION_MEANINGS[option], examples=[(1, 7, 42)])
-        fields[option] = (tuple[Cycles, ...], field)
+        fields[option] = (kind, Field(default, description=meaning))
+    for option, meaning in CYCLE_MEANINGS.items():
+        examples = [(1, 7, 42)]
+        fields[option] = (tuple[Cycles, ...], Field((), description=meaning, examples=examples))
     return fields
 
 
 if TYPE_CHECKING:
+    ElementOptions: TypeAlias = Options
+    LoadOptions: TypeAlias = Options
+else:  # the options are those of the table of quantities; what is left out keeps the preset's
+    ElementOptions = create_model(
+        "ElementOptions",
+        __base__=Options,
+        ratio=(Positive, Field(1.0, description="input speed over output speed")),
+        motion=(Motion, Field("rotary", description="whether the input turns or slides")),
+        subscript=(str, Field("", description="LaTeX subscript of the symbols")),
+        **_fields(CHOICES),
+    )
+    LoadOptions = create_model(
+        "LoadOptions",
+        __base__=Options,
+        gravity=(
+            Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)],
+            Field(
+                STANDARD_GRAVITY,
+                description="of the earth, m/s²; negative for a joint mounted upside down",
+            ),
+        ),
+        motion=(Motion, Field("rotary", description="whether the load turns or slides")),
+        signals=(
+            tuple[str, ...],
+            Field(
+                (),
+                description="names of further columns (others of the recording): torques of the "
+                "load that are known up to a coefficient, load.<name>",
+                examples=[("tool_torque",)],
+            ),
+        ),
+        **_fields(LOAD_CHOICES),
+    )
 
-    class ElementOptions(_Element):
-        """With the options of an element."""
 
-    class LoadOptions(_Load):
-        """With the options of the load."""
-
-else:  # the options are those of the table of quantities
-    ElementOptions = create_model("ElementOptions", __base__=_Element, **_fields(CHOICES))
-    LoadOptions = create_model("LoadOptions", __base__=_Load, **_fields(LOAD_CHOICES))
-
-
-class MechanismOptions(_Settings):
+class MechanismOptions(Options):
     """A preset with changes, or elements from motor to load."""
 
     preset: str | None = Field(
@@ -144,15 +131,11 @@ class MechanismOptions(_Settings):
         """Whether what else explains the torque is put in before a fit, ``terms = "auto"``."""
         return self.terms == "auto"
 
-    @property
-    def named_terms(self) -> tuple[str, ...]:
-        """Names of custom terms, which only Python can give; empty for a word."""
-        return () if isinstance(self.terms, str) else self.terms
-
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
         """Build the joint."""
         known = {term.name for term in terms}
-        if missing := [name for name in self.named_terms if name not in known]:
+        names = () if isinstance(self.terms, str) else self.terms
+        if missing := [name for name in names if name not in known]:
             raise BadInput(
                 "mechanism.terms",
                 f"{missing[0]} is a custom term, a function that no file holds",

@@ -71,15 +71,15 @@ def efficiencies(
     return drive, np.where(back >= 0.0, back, np.nan)
 
 
-def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ...]:
-    """Derive everything the chain allows from parameter vectors.
+def derive(joint: Joint, values: Array, load_torque: float) -> tuple[Derived, ...]:
+    """Derive everything the joint allows from parameter vectors.
 
     Parameters
     ----------
-    chain
+    joint
         The mechanism.
     values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
+        ``(n, n_parameters)`` in the order of ``joint.names``.
     load_torque
         Joint torque at which efficiencies are stated, N m or N; none are where it is zero.
 
@@ -104,35 +104,35 @@ def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ..
     Coulomb friction in an efficiency is that of the element and of all behind it, brought to the
     joint, as in section 4.4. Viscous friction is not counted.
     """
-    at = {name: values[:, i] for i, name in enumerate(chain.names)}
-    lossy = (element for element in chain.elements if element.load_loss != "none")
-    coefficients = (row for e in lossy for row in _of_loss(chain, e, at, load_torque))
-    return (*_totals(chain, at, values.shape[0]), *coefficients)
+    at = {name: values[:, i] for i, name in enumerate(joint.names)}
+    lossy = (element for element in joint.elements if element.load_loss != "none")
+    coefficients = (row for e in lossy for row in _of_loss(joint, e, at, load_torque))
+    return (*_totals(joint, at, values.shape[0]), *coefficients)
 
 
-def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
+def _totals(joint: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what is seen at the motor, Theta1 +- Theta2 of eq. (13)."""
-    lossy = [element for element in chain.elements if element.load_loss != "none"]
+    lossy = [element for element in joint.elements if element.load_loss != "none"]
     # where a loss depends on speed or load, the torque of a term at the motor depends on all others
     steady = ("load_loss", "load_direction")
     if any(o.startswith("load_") and o not in steady for e in lossy for o in e.choices):
         return
     terms: dict[str, list[Parameter]] = {}
-    for p in chain.parameters:
-        for kind in _kinds(chain, p):
+    for p in joint.parameters:
+        for kind in _kinds(joint, p):
             terms.setdefault(kind, []).append(p)
     # gravity that an angle turns has a size; least squares calls its sine part by the whole's name
-    turned = any(p.circular for p in chain.parameters)
+    turned = any(p.circular for p in joint.parameters)
     weight = replace(TOTALS["gravity"], symbol="G_{{{}}}", meaning="gravity torque")
     if turned:
         weight = replace(weight, name="gravity_size", meaning="size of the gravity torque")
-    pull = abs(chain.load.gravity) if turned else chain.load.gravity
+    pull = abs(joint.load.gravity) if turned else joint.load.gravity
     for side, label in (("drive", "driving"), ("back", "back-driven"))[: 2 if lossy else 1]:
         # torque at an owner's input times this is torque at the motor; an element's own terms
         # act at its input side, before its load-dependent friction
         reach: dict[str, Array] = {}
         through = np.ones(n)
-        for element in chain.elements:
+        for element in joint.elements:
             reach[element.name] = through
             drive, back = _losses(element, at)
             through = through * (1.0 + drive if side == "drive" else 1.0 - back) / element.ratio
@@ -140,14 +140,14 @@ def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
         mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
         at_motor = ", all seen by the motor" + (f", {label}" if lossy else "")
         for kind, parts in terms.items():
-            if {p.owner for p in parts} == {chain.elements[0].name}:
+            if {p.owner for p in parts} == {joint.elements[0].name}:
                 continue  # a total of the motor's shaft alone is that parameter
             total: Array = np.zeros(n)
             for p in parts:
                 assert p.row.power is not None
-                speed = chain.reaches[p.owner] / chain.ratio
+                speed = joint.reaches[p.owner] / joint.ratio
                 total = total + at[p.name] * reach[p.owner] * speed**p.row.power
-            row = parameter("total", QUANTITIES.get(kind, weight), chain.motor_motion, "t")
+            row = parameter("total", QUANTITIES.get(kind, weight), joint.motor_motion, "t")
             yield Derived(
                 f"total_{side}.{row.quantity}" if lossy else row.name,
                 row.unit,
@@ -158,7 +158,7 @@ def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
             )
 
 
-def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
+def _kinds(joint: Joint, p: Parameter) -> tuple[str, ...]:
     """Name the totals that a parameter adds to; most have one, some none."""
     # Load-dependent friction is in the factors, a low-speed rise vanishes at speed, and a term with
     # a separate shape adds to no other.
@@ -166,7 +166,7 @@ def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
     if row.role != "own" or row.power is None or p.owner in ("", "drive"):
         return ()
     split = row.by_direction
-    if split and any(other.quantity in split for other in chain.parameters):
+    if split and any(other.quantity in split for other in joint.parameters):
         return split
     return row.totals or (row.name,)
 
@@ -181,7 +181,7 @@ def _losses(element: Element, at: dict[str, Array]) -> tuple[Array | float, Arra
 
 
 def _of_loss(
-    chain: Joint, element: Element, at: dict[str, Array], load_torque: float
+    joint: Joint, element: Element, at: dict[str, Array], load_torque: float
 ) -> Iterator[Derived]:
     """Derive alphas, lambdas and efficiencies of one element, eqs. (4), (6) and (13)."""
     name, two = element.name, element.load_loss == "two"
@@ -212,26 +212,19 @@ def _of_loss(
         yield row("lambda_ratio", r"\lambda_1/\lambda_2", meaning, ratio, True)
     if load_torque > 0.0:
         # of the torque at its input, as the loss itself
-        grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
-        place = chain.elements.index(element)
-        before, behind = chain.elements[:place], chain.elements[place:]
+        grown = at.get(f"{name}.load_square", 0.0) * (load_torque / joint.reaches[name])
+        behind = joint.elements[joint.elements.index(element) :]
         # Fr of eq. (4), at the joint; section 4.4 takes the bearing's, behind the gearbox, for it
         weights = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
         constant = sum(
-            weight * at[f"{e.name}.{key}"] * chain.reaches[e.name]
+            weight * at[f"{e.name}.{key}"] * joint.reaches[e.name]
             for e in behind
             for key, weight in weights.items()
             if f"{e.name}.{key}" in at
         )
         drive, driven = efficiencies(mu_drive + grown, mu_back + grown, constant, load_torque)
-        lossy = any(e.has(*weights) for e in behind[1:])
-        counted = f"{name} {'with the constant loss behind it' if lossy else 'alone'}"
-        at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
-        load = f"{at_load} of load{' and' * bool(slow)}{slow}"
-        names = ", ".join(e.name for e in before)
-        outside = f" and all in front of it ({names})" if names else ""
-        meaning = f"{counted}, eq. (4), {load}, viscous loss{outside} not counted"
-        yield row("efficiency_drive", r"\eta_m", f"driving efficiency of {meaning}", drive, False)
-        yield row(
-            "efficiency_back", r"\eta_r", f"back-driving efficiency of {meaning}", driven, False
-        )
+        at_load = f"{load_torque:.3g} {'N m' if joint.load.motion == 'rotary' else 'N'} of load"
+        meaning = f"efficiency of {name} with the constant loss behind it, eq. (4), at {at_load}"
+        meaning += f"{slow}; viscous loss and all before {name} are not counted"
+        yield row("efficiency_drive", r"\eta_m", f"driving {meaning}", drive, False)
+        yield row("efficiency_back", r"\eta_r", f"back-driving {meaning}", driven, False)

@@ -25,8 +25,15 @@ from bayesfric.mechanism.quantities import (
 STANDARD_GRAVITY = 9.80665  # m/s²
 
 
-def _by_signal(name: str) -> tuple[Quantity]:
+def _unit_torque(state: State) -> Any:
+    return 1.0 + 0.0 * state.speed
+
+
+def _by_signal(name: Any) -> tuple[Quantity, ...]:
     """Describe a torque by a further column of the recording, known up to its coefficient."""
+    if not (isinstance(name, str) and name.isidentifier() and name not in QUANTITIES):
+        problem = "is not a name of a column that a parameter can have"
+        raise ValueError(f"signals = {name!r} {problem}; write letters, digits and _")
     label = name.replace("_", r"\_")
     row = Quantity(
         name, QUANTITIES["offset"].units, rf"k_{{{{\mathrm{{{{{label}}}}}}}}}",
@@ -35,10 +42,6 @@ def _by_signal(name: str) -> tuple[Quantity]:
         lower=-math.inf, stores=True, measurand="constant",
     )  # fmt: skip
     return (row,)
-
-
-def _unit_torque(state: State) -> Any:
-    return 1.0 + 0.0 * state.speed
 
 
 # Options that list something, and the quantities that each entry brings.
@@ -52,7 +55,7 @@ class _Bearer:
     subscript: str
     choices: Mapping[str, Any]  # of the options that are set
     quantities: tuple[Quantity, ...]  # rows of the table that these bring, in its order
-    _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]  # options and their choices
+    _options: ClassVar[Mapping[str, tuple[tuple[str | bool, ...], str]]]
 
     def _set(self, choices: Mapping[str, Any], **fields: Any) -> None:
         rows = _brought(self._options, choices)
@@ -179,31 +182,19 @@ class Load(_Bearer):
 
 
 def _brought(
-    options: Mapping[str, Mapping[str | bool, str]], choices: Mapping[str, Any]
+    options: Mapping[str, tuple[tuple[str | bool, ...], str]], choices: Mapping[str, Any]
 ) -> tuple[Quantity, ...]:
     """Rows that choices bring: those of the table, and behind them those of cycles."""
     listed: list[Quantity] = []
     for option, choice in choices.items():
         if option in LISTED:
             for entry in choice:
-                _refuse(option, entry)
                 listed += LISTED[option](entry)
         elif option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
-        elif choice not in (*options[option], False, "none"):
-            known = ", ".join(map(repr, options[option]))
+        elif choice not in (*options[option][0], False, "none"):
+            known = ", ".join(map(repr, options[option][0]))
             raise ValueError(f"{option} = {choice!r} is not a choice; there is {known}")
     rows = (q for q in QUANTITIES.values() if q.option in choices)
     chosen = (q for q in rows if q.brought_by(choices[q.option]))
     return tuple(dict.fromkeys((*chosen, *listed)))
-
-
-def _refuse(option: str, entry: Any) -> None:
-    """Refuse a bad entry of an option that lists column names or numbers of cycles."""
-    if option in CYCLES:
-        if isinstance(entry, bool) or not isinstance(entry, int) or entry < 1:
-            problem = "is not a number of cycles a turn; write 1, 2, ..."
-            raise ValueError(f"{option} = {entry!r} {problem}")
-    elif not (isinstance(entry, str) and entry.isidentifier() and entry not in QUANTITIES):
-        problem = "is not a name of a column that a parameter can have"
-        raise ValueError(f"{option} = {entry!r} {problem}; write letters, digits and _")

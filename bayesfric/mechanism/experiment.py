@@ -62,16 +62,16 @@ class Simulation(Options):
         description="true values by name, in SI units; the preset's where left out",
     )
 
-    def true_values(self, chain: Joint) -> dict[str, float]:
-        """Return the value of every parameter of the chain, by name."""
-        preset = PRESETS.get(chain.made_from)
+    def true_values(self, joint: Joint) -> dict[str, float]:
+        """Return the value of every parameter of the joint, by name."""
+        preset = PRESETS.get(joint.made_from)
         values = (preset.values if preset else {}) | self.parameters
         key = "simulation.parameters."
         for name in self.parameters:
-            if name not in chain.names:
+            if name not in joint.names:
                 problem = "the mechanism has no such parameter"
-                raise BadInput(key + name, problem, nearest(name, chain.names))
-        for p in chain.parameters:
+                raise BadInput(key + name, problem, nearest(name, joint.names))
+        for p in joint.parameters:
             if p.name not in values:
                 problem = "the preset has no value for it" if preset else "has no value"
                 hint = f"add {p.name} = ... (in {p.unit or 'no unit'})"
@@ -82,7 +82,7 @@ class Simulation(Options):
                     f"{values[p.name]:g} is not a possible value",
                     f"it lies between {p.lower:g} and {p.upper:g}",
                 )
-        return {name: values[name] for name in chain.names}
+        return {name: values[name] for name in joint.names}
 
 
 def simulate(
@@ -123,14 +123,14 @@ def simulate(
 
 
 def record(
-    chain: Joint, options: Simulation
+    joint: Joint, options: Simulation
 ) -> tuple[dict[str, Array], forward.Motion, dict[str, float]]:
     """Simulate a recording: its columns ``(N,)``, the true motion and the true values.
 
     The commanded torque passes the current loop, moves the joint, and is measured with noise; the
     position is read by an encoder.
     """
-    values = options.true_values(chain)
+    values = options.true_values(joint)
     time = np.arange(round(options.duration * options.rate), dtype=np.float64) * (
         1.0 / options.rate
     )
@@ -140,7 +140,7 @@ def record(
     command = _command(options, time, int(seeds[0].generate_state(1)[0]))
     rng = np.random.default_rng(seeds[1])
     try:
-        columns, motion = measure(chain, chain.vector(values), command, options, rng)
+        columns, motion = measure(joint, joint.vector(values), command, options, rng)
     except ValueError as error:
         hint = "change the amplitude, duration or parameters"
         raise BadInput("simulation", str(error), hint) from None
@@ -148,7 +148,7 @@ def record(
 
 
 def measure(
-    chain: Joint,
+    joint: Joint,
     values: Array,
     command: Array,
     options: Simulation,
@@ -166,9 +166,9 @@ def measure(
     torque = current_loop(command, period, options.lag)
     inputs = Inputs(options.added_mass, options.radius)
     motion = forward.simulate(
-        chain, values, torque, period, q0=q0, qd0=qd0, inputs=inputs, hold=options.hold
+        joint, values, torque, period, q0=q0, qd0=qd0, inputs=inputs, hold=options.hold
     )
-    position = motion.q * (chain.ratio if options.encoder_side == "motor" else 1.0)
+    position = motion.q * (joint.ratio if options.encoder_side == "motor" else 1.0)
     if options.encoder_counts:
         count = 2.0 * np.pi / options.encoder_counts
         position = np.round(position / count) * count

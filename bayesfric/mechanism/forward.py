@@ -22,7 +22,6 @@ from bayesfric.mechanism.integrate import (
     SPEED,
     STICKS,
     Carried,
-    ForwardTables,
     integrate,
     integrate_segments,
     plant_of,
@@ -67,7 +66,7 @@ class Motion:
 
 
 def simulate(
-    chain: Joint,
+    joint: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -90,12 +89,12 @@ def simulate(
     if not (np.isfinite([q0, qd0]).all() and np.isfinite(measured).all()):
         raise ValueError("torque, q0 and qd0 must be finite")
     vector = np.asarray(values, dtype=np.float64)
-    tables, carried = _tables(chain, vector[np.newaxis], inputs)
-    for reason, flags in _impossible(chain, vector[np.newaxis], tables).items():
+    elements, load, carried = _tables(joint, vector[np.newaxis], inputs)
+    for reason, flags in _impossible(joint, vector[np.newaxis], elements, load).items():
         if flags[0]:
             raise ValueError(reason)
-    plant = plant_of(tables, carried, 0)
-    fine, finer = _fine(chain, vector[np.newaxis], measured, period, hold)
+    plant = plant_of(elements, load, carried, 0)
+    fine, finer = _fine(joint, vector[np.newaxis], measured, period, hold)
 
     def run(each: int) -> Motion:
         """Integrate in ``each`` steps a piece; the error is not known."""
@@ -125,7 +124,7 @@ def simulate(
 
 
 def simulate_segments(
-    chain: Joint,
+    joint: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -148,12 +147,13 @@ def simulate_segments(
     start, speed = (
         np.ascontiguousarray(np.broadcast_to(np.asarray(x, np.float64), shape)) for x in (q0, qd0)
     )
-    tables, carried = _tables(chain, vectors, inputs)
-    fine, finer = _fine(chain, vectors, np.asarray(torque, dtype=np.float64), period, hold)
+    elements, load, carried = _tables(joint, vectors, inputs)
+    fine, finer = _fine(joint, vectors, np.asarray(torque, dtype=np.float64), period, hold)
     q, qd = integrate_segments(
-        tables,
+        elements,
+        load,
         carried,
-        _possible(chain, vectors, tables),
+        _possible(joint, vectors, elements, load),
         fine,
         float(period) / finer,
         float(begin),
@@ -167,14 +167,13 @@ def simulate_segments(
     return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
-def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> tuple[ForwardTables, Carried | None]:
+def _tables(joint: Joint, vectors: Array, inputs: Inputs) -> tuple[Array, Array, Carried | None]:
     """Lay parameter vectors out for the forward model; a delay is no term of it."""
-    elements, load, values = chain.tables(vectors, inputs)
-    tables = ForwardTables(elements, load, *inputs.load(chain.load.motion))
-    all_terms = chain.carried_terms(inputs)
+    elements, load, values = joint.tables(vectors, inputs)
+    all_terms = joint.carried_terms(inputs)
     columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
     if not columns:
-        return tables, None
+        return elements, load, None
     terms = [all_terms[k] for k in columns]
     signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
@@ -191,19 +190,19 @@ def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> tuple[ForwardTables
         np.ascontiguousarray(stamps, dtype=np.float64),
         levels,
     )
-    return tables, carried
+    return elements, load, carried
 
 
 def _fine(
-    chain: Joint, vectors: Array, torque: Array, period: float, hold: Hold
+    joint: Joint, vectors: Array, torque: Array, period: float, hold: Hold
 ) -> tuple[Array, int]:
     """Give the torque that acts, ``(1, N)`` or each vector's own, in pieces to integrate.
 
     It acts when the recorded motion shows it. A cubic is cut into four straight pieces a sample.
     """
     rows = torque[np.newaxis]
-    if chain.delay and not chain.by_target:
-        rows = np.stack([later(torque, s) for s in (chain.delays(vectors) / period).tolist()])
+    if joint.delay and not joint.by_target:
+        rows = np.stack([later(torque, s) for s in (joint.delays(vectors) / period).tolist()])
     if hold != "cubic":
         return rows, 1
     finer, n = 4, torque.size
@@ -218,7 +217,7 @@ def _fine(
     return out, finer
 
 
-def _impossible(chain: Joint, vectors: Array, tables: ForwardTables) -> dict[str, Flags]:
+def _impossible(joint: Joint, vectors: Array, elements: Array, load: Array) -> dict[str, Flags]:
     """Flag the vectors that are outside the support, or have no single motion, by reason.
 
     A motion is unique where the motor torque rises with the acceleration for every direction of
@@ -229,13 +228,13 @@ def _impossible(chain: Joint, vectors: Array, tables: ForwardTables) -> dict[str
         f"{p.name} is not finite, or outside its support": ~(
             np.isfinite(x) & (x >= p.lower) & (x <= p.upper)
         )
-        for p, x in zip(chain.parameters, vectors.T, strict=True)
+        for p, x in zip(joint.parameters, vectors.T, strict=True)
     }
-    speeds = tables.elements[:, :, STRIBECK_VELOCITY]
-    low, high = slope_bounds(tables.elements, tables.load[:, LOAD_INERTIA] + tables.added_inertia)
+    speeds = elements[:, :, STRIBECK_VELOCITY]
+    low, high = slope_bounds(elements, load[:, LOAD_INERTIA])
     return reasons | {
         "gain and Stribeck velocities must be greater than zero": ~(
-            (tables.load[:, GAIN] > 0) & np.all(speeds > 0, axis=1)
+            (load[:, GAIN] > 0) & np.all(speeds > 0, axis=1)
         ),
         "the chain has no inertia, so a torque does not determine its motion": ~(high > 0),
         "irreversible gearbox: its loss when the load drives is so large, against the inertia "
@@ -243,8 +242,8 @@ def _impossible(chain: Joint, vectors: Array, tables: ForwardTables) -> dict[str
     }
 
 
-def _possible(chain: Joint, vectors: Array, tables: ForwardTables) -> Flags:
-    flags: Flags = np.any(list(_impossible(chain, vectors, tables).values()), axis=0)
+def _possible(joint: Joint, vectors: Array, elements: Array, load: Array) -> Flags:
+    flags: Flags = np.any(list(_impossible(joint, vectors, elements, load).values()), axis=0)
     return ~flags
 
 
@@ -293,7 +292,7 @@ class _Drive(NamedTuple):
 
 
 def follow(
-    chain: Joint,
+    joint: Joint,
     values: ArrayLike,
     law: Law,
     period: float,
@@ -313,20 +312,21 @@ def follow(
     the motion, is predicted with a constant torque and corrected once (Heun's method).
     """
     vectors = np.ascontiguousarray(values, dtype=np.float64)
-    tables, carried = _tables(chain, vectors, inputs)
+    elements, load, carried = _tables(joint, vectors, inputs)
     on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
     rows = np.zeros((1, on.size)) if push is None else push
     command, scale, on, pushed = (
         np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on, rows)
     )
     kp, kd, limit, back_emf = map(float, (law.kp, law.kd, law.limit, law.back_emf))
-    late = chain.by_target and law.closed
-    delays = chain.delays(vectors) / period if late else np.zeros(len(vectors))
+    late = joint.by_target and law.closed
+    delays = joint.delays(vectors) / period if late else np.zeros(len(vectors))
     drive = _Drive(command, scale, on, pushed, kp, kd, limit, back_emf, held, delays)
     q, qd = _follow(
-        tables,
+        elements,
+        load,
         carried,
-        _possible(chain, vectors, tables),
+        _possible(joint, vectors, elements, load),
         drive,
         float(period),
         float(begin),
@@ -369,7 +369,8 @@ def _torque(
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def _follow(
-    tables: ForwardTables,
+    elements: Array,
+    loads: Array,
     carried: Carried | None,
     valid: Flags,
     drive: _Drive,
@@ -381,14 +382,15 @@ def _follow(
     steps: int,
 ) -> tuple[Array, Array]:
     """Integrate every vector and segment in parallel, with ``steps`` loop closings a sample."""
-    n, pieces, samples = len(tables.elements), segments.shape[0], drive.command.shape[0]
+    n, pieces, samples = len(elements), segments.shape[0], drive.command.shape[0]
     q_out, qd_out = np.full((n, samples), np.nan), np.full((n, samples), np.nan)
     h = period / steps
     for job in prange(n * pieces):
         v, k = job // pieces, job % pieces
         if not valid[v]:
             continue
-        plant, push = plant_of(tables, carried, v), drive.push[v if drive.push.shape[0] > 1 else 0]
+        plant = plant_of(elements, loads, carried, v)
+        push = drive.push[v if drive.push.shape[0] > 1 else 0]
         torque, out, counts = np.empty(2), np.empty((4, 2)), np.zeros(2, dtype=np.int64)
         a, b = segments[k]
         q, qd = q0[k], qd0[k]

@@ -49,15 +49,6 @@ class Carried(NamedTuple):
     levels: Array  # (n_carried, K) factor of each at these times
 
 
-class ForwardTables(NamedTuple):
-    """Parameter vectors of a joint, laid out for the functions below."""
-
-    elements: Array  # (n, n_elements, n_slots) and (n, n_slots), as in Tables
-    load: Array
-    added_inertia: float  # of a known mass on the load, kg m² (kg) and kg m
-    added_moment: float
-
-
 class Plant(NamedTuple):
     """A joint with one parameter vector."""
 
@@ -90,12 +81,11 @@ class State(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def plant_of(tables: ForwardTables, carried: Carried | None, vector: int) -> Plant:
-    """Prepare one parameter vector."""
-    elements, load = tables.elements[vector], tables.load[vector]
+def plant_of(all_elements: Array, loads: Array, carried: Carried | None, vector: int) -> Plant:
+    """Prepare one of the parameter vectors that are laid out as :class:`Tables`."""
+    elements, load = all_elements[vector], loads[vector]
     # one sine instead of a sine and a cosine
-    sine = gravity_torque(load, tables.added_moment, 1.0, 0.0)
-    cosine = gravity_torque(load, tables.added_moment, 0.0, 1.0)
+    sine, cosine = gravity_torque(load, 1.0, 0.0), gravity_torque(load, 0.0, 1.0)
     kinks, squares = 0, False
     for k in range(elements.shape[0]):
         squares |= elements[k, LOAD_SQUARE] != 0.0
@@ -106,7 +96,7 @@ def plant_of(tables: ForwardTables, carried: Carried | None, vector: int) -> Pla
         elements,
         load[GAIN],
         load[OFFSET],
-        load[LOAD_INERTIA] + tables.added_inertia,
+        load[LOAD_INERTIA],
         math.hypot(sine, cosine),
         math.atan2(cosine, sine),
         kinks,
@@ -501,7 +491,8 @@ def integrate(
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def integrate_segments(
-    tables: ForwardTables,
+    elements: Array,
+    loads: Array,
     carried: Carried | None,
     valid: Flags,
     torque: Array,
@@ -515,7 +506,7 @@ def integrate_segments(
     substeps: int,
 ) -> tuple[Array, Array]:
     """Integrate many parameter vectors, restarted in every segment, in parallel."""
-    n, segments = tables.elements.shape[0], starts.shape[0]
+    n, segments = elements.shape[0], starts.shape[0]
     q, qd = np.full((n, torque.shape[1]), np.nan), np.full((n, torque.shape[1]), np.nan)
     for job in prange(n * segments):
         i, k = job // segments, job % segments
@@ -523,7 +514,7 @@ def integrate_segments(
             a, b = starts[k], ends[k]
             row, time = torque[i if torque.shape[0] > 1 else 0, a:b], begin + a * period
             out, counts = np.empty((4, b - a)), np.zeros(2, np.int64)
-            plant, state = plant_of(tables, carried, i), (q0[i, k], qd0[i, k])
+            plant, state = plant_of(elements, loads, carried, i), (q0[i, k], qd0[i, k])
             done = integrate(plant, row, period, time, linear, *state, substeps, out, counts)
             for j in range(done):
                 q[i, a + j], qd[i, a + j] = out[POSITION, j], out[SPEED, j]

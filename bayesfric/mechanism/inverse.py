@@ -12,7 +12,7 @@ from bayesfric.recordings.measurement import Inputs
 
 
 def inverse_torque(
-    chain: Joint,
+    joint: Joint,
     values: ArrayLike,
     q: ArrayLike,
     qd: ArrayLike,
@@ -25,10 +25,10 @@ def inverse_torque(
 
     Parameters
     ----------
-    chain
+    joint
         The mechanism.
     values
-        ``(n_parameters,)`` or ``(n, n_parameters)`` in the order of ``chain.names``.
+        ``(n_parameters,)`` or ``(n, n_parameters)`` in the order of ``joint.names``.
     q, qd, qdd
         ``(N,)`` position, speed and acceleration of the joint (rad or m, SI). At
         ``qd = 0`` the losses that depend on direction are zero: static
@@ -56,34 +56,28 @@ def inverse_torque(
     d dtorque/dt``, to first order. For the Rabbit knee this is eq. (13).
     """
     vectors = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    torque = torque_at(chain, vectors, chain.samples(q, qd, qdd, inputs, time), inputs)
+    samples = joint.samples(q, qd, qdd, inputs, time)
+    torque: Array = kernels.inverse_many(*joint.tables(vectors, inputs), samples)
     return torque[0] if np.ndim(values) == 1 else torque
 
 
-def torque_at(chain: Joint, values: Array, samples: kernels.Samples, inputs: Inputs) -> Array:
-    """Evaluate :func:`inverse_torque` ``(n, N)`` at samples made with the same inputs."""
-    torque: Array = kernels.inverse_many(*chain.tables(values, inputs), samples)
-    return torque
-
-
 def load_torque(
-    chain: Joint, values: Array, q: Array, qdd: Array, inputs: Inputs, time: Array
+    joint: Joint, values: Array, q: Array, qdd: Array, inputs: Inputs, time: Array
 ) -> Array:
     """Compute the torque ``(N,)`` on the load, ``Gamma`` of eq. (3), less the measured one."""
-    load = chain.tables(np.atleast_2d(values)).load[0]
-    inertia, moment = inputs.load(chain.load.motion)
-    weight = load[kernels.GRAVITY] * (load[kernels.FIRST_MOMENT] + moment)
+    load = joint.tables(np.atleast_2d(values), inputs).load[0]
+    weight = load[kernels.GRAVITY] * load[kernels.FIRST_MOMENT]
     swing = weight * np.sin(q + load[kernels.GRAVITY_ANGLE])
-    torque: Array = (load[kernels.LOAD_INERTIA] + inertia) * qdd + swing
+    torque: Array = load[kernels.LOAD_INERTIA] * qdd + swing
     return torque if inputs.load_torque is None else torque - inputs.load_torque.at(time)
 
 
-def load_reach(chain: Joint, values: Array, *, open_scale: bool) -> Array:
+def load_reach(joint: Joint, values: Array, *, open_scale: bool) -> Array:
     """Return factors ``(n,)`` from the load's torque to its loss-free torque at the motor.
 
     ``1/N``, or the mean ``lambda_1/N`` of both power flows where the scale is open (section 4.2).
     """
-    elements = chain.tables(values).elements
+    elements = joint.tables(values).elements
     ratio = np.prod(elements[:, :, kernels.RATIO], axis=1)
     if not open_scale:
         return np.asarray(1.0 / ratio)

@@ -17,7 +17,15 @@ from numpy.typing import ArrayLike
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples, inverse_many
+from bayesfric.mechanism.kernels import (
+    ELEMENT_SLOTS,
+    FIRST_MOMENT,
+    LOAD_INERTIA,
+    LOAD_SLOTS,
+    OFFSET,
+    Samples,
+    inverse_many,
+)
 from bayesfric.mechanism.own_term import PUSH, CarriedTerm, Term, along
 from bayesfric.mechanism.quantities import (
     LATE_TARGET,
@@ -36,7 +44,7 @@ class Tables(NamedTuple):
 
     elements: Array  # (n, n_elements, n_slots) of ELEMENT_SLOTS, elements from motor to load
     load: Array  # (n, n_slots) of LOAD_SLOTS
-    # (n, n_carried, 2) of the terms without a slot, see Chain.carried_terms: coefficient, and value
+    # (n, n_carried, 2) of the terms without a slot, see Joint.carried_terms: coefficient, and value
     # of the parameter that shapes the term (0 where none does)
     carried: Array
 
@@ -283,24 +291,25 @@ class Joint:
         return torque[0] if vectors.ndim == 1 else torque
 
     def tables(self, values: Array, inputs: Inputs | None = None) -> Tables:
-        """Lay parameter vectors ``(n, d)`` out for the kernels, with a recording's offset."""
+        """Lay parameter vectors ``(n, d)`` out, with the offset and known mass of a recording."""
         defaults, sources, targets = self._layout
         flat = np.tile(defaults.astype(values.dtype), (len(values), 1))
         flat[:, targets] = values[:, sources]
         if inputs is not None and inputs.recording in self.own_offsets:
             column = self.names.index(f"offset.{inputs.recording}")
-            flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, column]
+            flat[:, OFFSET - len(LOAD_SLOTS)] = values[:, column]
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
+        load = np.ascontiguousarray(flat[:, split:])
+        if inputs is not None:
+            load[:, [LOAD_INERTIA, FIRST_MOMENT]] += inputs.load(self.load.motion)
         terms = self.carried_terms(inputs)
         carried = np.zeros((len(values), len(terms), 2), values.dtype)
         for k, term in enumerate(terms):
             carried[:, k, 0] = values[:, term.index] if term.index >= 0 else 1.0
             if term.shape >= 0:
                 carried[:, k, 1] = values[:, term.shape]
-        return Tables(
-            np.ascontiguousarray(elements), np.ascontiguousarray(flat[:, split:]), carried
-        )
+        return Tables(np.ascontiguousarray(elements), load, carried)
 
     def samples(
         self,
@@ -321,7 +330,6 @@ class Joint:
             if term.shape < 0:  # the kernels compute columns that a parameter shapes
                 columns[k] = along(term.row, term.reach, position, speed, stamps, inputs)
         return Samples(
-            *inputs.load(self.load.motion),
             np.sin(position),
             np.cos(position),
             speed,
@@ -377,7 +385,7 @@ def slots_of(p: Parameter) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Preset:
-    """A named chain with values to simulate it with."""
+    """A named joint with values to simulate it with."""
 
     name: str  # as written in a configuration
     meaning: str  # one line
@@ -391,14 +399,6 @@ class Preset:
     def chain(self) -> Joint:
         """Make the joint, which keeps the preset's name as ``made_from``."""
         return Joint(self.elements, self.load, self.offset, made_from=self.name)
-
-
-def _mu(alpha_drive: float, alpha_back: float) -> dict[str, float]:
-    # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
-    return {
-        "gearbox.load_drive": 1.0 / alpha_drive - 1.0,
-        "gearbox.load_back": 1.0 - 1.0 / alpha_back,
-    }
 
 
 PRESETS: dict[str, Preset] = {
@@ -420,7 +420,9 @@ PRESETS: dict[str, Preset] = {
                 "motor.viscous": 4.0e-3,
                 "motor.coulomb_positive": 0.087,
                 "motor.coulomb_negative": 0.091,
-                **_mu(0.7432, 1.408),
+                # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
+                "gearbox.load_drive": 1.0 / 0.7432 - 1.0,
+                "gearbox.load_back": 1.0 - 1.0 / 1.408,
                 "joint.viscous": 3.12,
                 "joint.coulomb_positive": 5.03,
                 "joint.coulomb_negative": 5.15,

@@ -2,7 +2,7 @@
 
 Inverse and forward model share these functions, so they cannot disagree; exports and the law in
 formulas are made of their source. Rows of ``elements`` and entries of ``load`` are laid out by
-:meth:`Chain.tables`.
+:meth:`Joint.tables`.
 """
 
 from __future__ import annotations
@@ -40,10 +40,8 @@ _as_tuple: Any = to_fixed_tuple
 
 
 class Samples(NamedTuple):
-    """A motion and the other inputs, laid out for the kernels by :meth:`Chain.samples`."""
+    """A motion and the other inputs, laid out for the kernels by :meth:`Joint.samples`."""
 
-    added_inertia: float  # of a known mass on the load, kg m² (kg) and kg m
-    added_moment: float
     sin_q: Array  # (N,) of the joint, rad or m, SI
     cos_q: Array
     speed: Array
@@ -132,11 +130,11 @@ def element_torque(
 
 
 @njit(cache=True, inline="always")
-def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float) -> float:
-    """Gravity on the load, ``g (ml + ml_added) sin(q + q_g)``."""
+def gravity_torque(load: Array, sin_q: float, cos_q: float) -> float:
+    """Gravity on the load, ``g ml sin(q + q_g)``."""
     angle = load[GRAVITY_ANGLE]
     sine = sin_q if angle == 0.0 else sin_q * math.cos(angle) + cos_q * math.sin(angle)
-    return float(load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine)
+    return float(load[GRAVITY] * load[FIRST_MOMENT] * sine)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -184,10 +182,9 @@ def _inverse(
     out: Array,
 ) -> None:
     """Write the measured motor torque of one parameter vector into ``out``."""
-    inertia = load[LOAD_INERTIA] + samples.added_inertia
     for j in range(out.shape[0]):
-        weight = gravity_torque(load, samples.added_moment, samples.sin_q[j], samples.cos_q[j])
-        out[j] = inertia * samples.acceleration[j] + weight
+        weight = gravity_torque(load, samples.sin_q[j], samples.cos_q[j])
+        out[j] = load[LOAD_INERTIA] * samples.acceleration[j] + weight
     _carry(carried, samples, elements.shape[0], out)
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):

@@ -103,9 +103,9 @@ PUSH = Quantity(
 
 @dataclass(frozen=True)
 class CarriedTerm:
-    """A term of a chain that the kernels do not write out."""
+    """A term of a joint that the kernels do not write out."""
 
-    index: int  # of its parameter in the chain; -1 for a coefficient of one
+    index: int  # of its parameter in the joint; -1 for a coefficient of one
     place: int  # index of its element; n_elements for the load, one more for the measurement
     reach: float  # speed of its element's input over the joint's
     row: Quantity

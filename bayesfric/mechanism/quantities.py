@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -46,15 +46,21 @@ class State(NamedTuple):
     gravity: Any = 0.0  # gravity torque of a first moment of 1 kg m, g sin(q + q_g)
 
 
-class Sizes(NamedTuple):
-    """Typical sizes at a parameter's shaft, by which default priors are scaled."""
+@dataclass(frozen=True)
+class TypicalSizes:
+    """Sizes of what was measured, at one shaft, by which default priors are scaled."""
 
-    torque: float  # largest that the recordings show, N m or N
-    speed: float  # speed, acceleration: root mean square, rad or m and s
+    torque: float  # largest of the motor (99.9th percentile), N m or N
+    speed: float  # root mean square, rad or m and s
     acceleration: float
-    gravity: float  # m/s²
-    lean: float  # largest sine of the angle to gravity
-    duration: float  # of the longest recording, s
+    gravity: float = 1.0  # m/s²
+    lean: float = 1.0  # largest sine of the joint's angle that gravity was seen at
+    exchanged: float = 0.0  # torque that one term surely takes, from another maybe, N m or N
+    position: float = 1.0  # range of the joint's, rad or m
+    duration: float = 1.0  # of the longest recording, s
+    position_step: float = 0.0  # finest that one was read in, rad or m; 0 where it is not known
+    # rms torque of each custom or signal term, for a value of one
+    columns: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -94,11 +100,11 @@ class Quantity:
     # family and scale of the default prior; by default half-normal or, where both signs are
     # possible, normal, with the scale that would need the largest torque
     prior: str = ""
-    spread: Callable[[Sizes], float] | None = None
+    spread: Callable[[TypicalSizes], float] | None = None
     stores: bool = False  # whether it is conservative: other terms may balance it, not the motor
     prior_upper: float = _INF  # where default priors end if before upper
     # values to try first
-    tries: Callable[[Sizes], tuple[float, ...]] | None = None
+    tries: Callable[[TypicalSizes], tuple[float, ...]] | None = None
     start: float | None = None  # of a search; None for its share of a total
     alone: str = ""  # its meaning where no other element has it; {} is its owner
     # of a total: its regressor of eq. (11) in plain least squares; its symbol where an angle turns
@@ -151,66 +157,41 @@ def _is_driven(state: State) -> Any:
 
 _TORQUE, _NONE = ("N m", "N"), ("", "")
 
-# What an element or the load may have, and what it is called in a sentence.
-CHOICES: Mapping[str, Mapping[str | bool, str]] = {
-    "inertia": {True: "inertia"},
-    "coulomb": {"symmetric": "constant loss", "by-direction": "constant loss by direction"},
-    "viscous": {True: "viscous loss", "by-direction": "viscous loss by direction"},
-    "quadratic": {True: "quadratic loss"},
-    "power": {True: "a loss with a power of speed"},
-    "temperature": {
-        "viscous": "viscous loss that depends on temperature",
-        "constant": "constant loss that depends on temperature",
-        "both": "viscous and constant loss that depend on temperature",
-    },
-    "warming": {
-        "viscous": "viscous loss that changes as the joint warms up",
-        "constant": "constant loss that changes as the joint warms up",
-        "both": "viscous and constant loss that change as the joint warms up",
-    },
-    "stribeck": {
-        True: "a Stribeck rise",
-        "either": "a Stribeck rise, or a fall towards standstill",
-        "apart": "separate Stribeck rises of constant loss and load-dependent friction",
-    },
-    "stribeck_exponent": {True: "a free exponent of the Stribeck rise"},
-    "load_loss": {
-        "one": "a loss per transmitted torque",
-        "two": "losses per transmitted torque when driving and back-driven",
-    },
-    "load_direction": {
-        True: "load-dependent friction by direction",
-        "quadrants": "load-dependent friction by direction and power flow",
-    },
-    "load_speed": {True: "load-dependent friction that grows with speed"},
-    "load_square": {True: "a loss with the square of the load"},
+# Options of an element, of the load, and of both that list numbers of cycles a turn: what each may
+# be but false or "none", and the line that `init` writes of it.
+CHOICES: dict[str, tuple[tuple[str | bool, ...], str]] = {
+    "inertia": ((True,), "whether it has inertia"),
+    "coulomb": (("symmetric", "by-direction"), "constant loss"),
+    "viscous": ((True, "by-direction"), "loss in proportion to speed"),
+    "quadratic": ((True,), "loss with the square of speed"),
+    "power": (
+        (True,), "loss with a power of speed between 0 and 2, flattening or steepening"
+    ),
+    "temperature": (
+        ("viscous", "constant", "both"),
+        "change of losses with the recorded temperature, from 20 degC on",
+    ),
+    "warming": (
+        ("viscous", "constant", "both"), "change of losses with time since the recording began"
+    ),
+    "stribeck": (
+        (True, "either", "apart"), "rise of constant and load-dependent friction at low speed"
+    ),
+    "stribeck_exponent": ((True,), "exponent of speed in that rise; 2 if left out"),
+    "load_loss": (("one", "two"), "loss in proportion to transmitted torque"),
+    "load_direction": ((True, "quadrants"), "load-dependent friction by direction of motion"),
+    "load_speed": ((True,), "growth of load-dependent friction with speed"),
+    "load_square": ((True,), "growth of load-dependent friction with the load"),
+}  # fmt: skip
+LOAD_CHOICES: dict[str, tuple[tuple[str | bool, ...], str]] = {
+    "inertia": CHOICES["inertia"],
+    "first_moment": ((True,), "gravity moment ml"),
+    "gravity_angle": ((True,), "unknown angle of gravity's zero"),
+    "spring": ((True, "stiffening"), "torque in proportion to angle, as of a spring or cable"),
 }
-LOAD_CHOICES: Mapping[str, Mapping[str | bool, str]] = {
-    "inertia": {True: "inertia"},
-    "first_moment": {True: "gravity"},
-    "gravity_angle": {True: "an unknown zero of the angle of gravity"},
-    "spring": {True: "a spring", "stiffening": "a spring that stiffens"},
-}
-# One line for each option, as `init` writes it.
-OPTION_MEANINGS: Mapping[str, str] = {
-    "inertia": "whether it has inertia",
-    "coulomb": "constant loss",
-    "viscous": "loss in proportion to speed",
-    "quadratic": "loss with the square of speed",
-    "power": "loss with a power of speed between 0 and 2, flattening or steepening",
-    "temperature": "change of losses with the recorded temperature, from 20 degC on",
-    "warming": "change of losses with time since the recording began",
+CYCLE_MEANINGS = {
     "cogging": "torque that repeats; cycles a turn (in 2π m of what slides)",
     "periodic_friction": "constant loss that depends on the angle; cycles a turn (in 2π m)",
-    "stribeck": "rise of constant and load-dependent friction at low speed",
-    "stribeck_exponent": "exponent of speed in that rise; 2 if left out",
-    "load_loss": "loss in proportion to transmitted torque",
-    "load_direction": "load-dependent friction by direction of motion",
-    "load_speed": "growth of load-dependent friction with speed",
-    "load_square": "growth of load-dependent friction with the load",
-    "first_moment": "gravity moment ml",
-    "gravity_angle": "unknown angle of gravity's zero",
-    "spring": "torque in proportion to angle, as of a spring or cable",
 }
 
 # What several rows share: losses that change with the recorded temperature, rises at low speed,
@@ -446,9 +427,12 @@ LATE_TARGET = replace(
 SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
 
 
-@lru_cache(maxsize=512)
-def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
+@lru_cache(maxsize=512, typed=True)
+def _waves(option: str, cycles: Any) -> tuple[Quantity, ...]:
     """Sine and cosine over the angle: torque, or friction that goes by the direction."""
+    if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
+        problem = "is not a number of cycles a turn; write 1, 2, ..."
+        raise ValueError(f"{option} = {cycles!r} {problem}")
     rest: dict[str, Any] = {"option": option, "choice": cycles, "lower": -_INF, "slots": ()}
     if option == "cogging":  # of magnets and teeth (Hsu et al. 2015)
         letter, effect, rest["measurand"] = "a", "torque", "constant"
@@ -468,7 +452,7 @@ def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
 
 # Options that list numbers of cycles a turn, and the quantities that each number brings.
 CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
-    option: partial(_waves, option) for option in ("cogging", "periodic_friction")
+    option: partial(_waves, option) for option in CYCLE_MEANINGS
 }
 
 

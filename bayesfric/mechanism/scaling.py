@@ -96,20 +96,20 @@ class Scaling:
     def middle(self, values: ArrayLike) -> float:
         """Factor in the (geometric) middle of its bounds; one where these leave no middle.
 
-        ``values`` is ``(n_parameters,)`` in the order of ``chain.names``.
+        ``values`` is ``(n_parameters,)`` in the order of ``joint.names``.
         """
         low, high = self.bounds(values)
         return math.sqrt(low * high) if 0.0 < low < high else 1.0
 
 
 def scalings(
-    chain: Joint, added_inertia: float = 0.0, added_moment: float = 0.0
+    joint: Joint, added_inertia: float = 0.0, added_moment: float = 0.0
 ) -> tuple[Scaling, ...]:
-    """Find the scalings a chain has while nothing behind the gearbox is known.
+    """Find the scalings a joint has while nothing behind the gearbox is known.
 
     Parameters
     ----------
-    chain
+    joint
         The mechanism.
     added_inertia, added_moment
         Of a known mass on the load in every recording, kg m² (kg) and kg m. It is one with the load
@@ -125,17 +125,17 @@ def scalings(
     """
     known = {"load.inertia": added_inertia, "load.first_moment": added_moment}
     known = {name: amount for name, amount in known.items() if amount}
-    if not set(known) <= set(chain.names):
+    if not set(known) <= set(joint.names):
         return ()
     family = []
-    for i, element in enumerate(chain.elements):
-        own = [p for p in chain.parameters if p.owner == element.name]
+    for i, element in enumerate(joint.elements):
+        own = [p for p in joint.parameters if p.owner == element.name]
         risen = any("stribeck_load_ratio" in slots_of(p) for p in own)
         # ratios, angles and speeds do not grow with the torque behind the gearbox
-        owners = {e.name for e in chain.elements[i + 1 :]} | {"load"}
+        owners = {e.name for e in joint.elements[i + 1 :]} | {"load"}
         rules = {
             p.name: (known.get(p.name, 0.0), 1)
-            for p in chain.parameters
+            for p in joint.parameters
             if p.owner in owners and p.row.role == "own"
         }
         if rules and element.load_loss == "two" and not risen:
@@ -143,5 +143,5 @@ def scalings(
             rules |= {f"{element.name}.load_drive": (1.0, -1)}
             rules |= {f"{element.name}.load_back": (-1.0, -1)}
             rules |= {p.name: (0.0, -p.row.scaled_by) for p in own if p.row.scaled_by}
-            family.append(Scaling(chain, element.name, rules))
+            family.append(Scaling(joint, element.name, rules))
     return tuple(family)

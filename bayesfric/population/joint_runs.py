@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.discrepancy import Discrepancy, move_within_support
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.priors import JointPrior, read_prior
-from bayesfric.inference.sampling.start import Start
+from bayesfric.inference.priors import joint_log_density, read_prior
+from bayesfric.inference.start import Start
 from bayesfric.inference.target import LogPosterior, Target
 from bayesfric.population.population import Varying, interval
 from bayesfric.recordings.arrays import Array
 
 
 class JointTarget(LogPosterior):
-    """The log-posterior, as :func:`bayesfric.inference.sampling.sampling.sample` sees a target.
+    """The log-posterior, as :func:`bayesfric.inference.sampling.sample` sees a target.
 
     ``posteriors`` of each run alone shape coordinates, starts and the prior of the spreads.
     """
@@ -62,7 +62,6 @@ class JointTarget(LogPosterior):
         self._varying = np.array([[index[f"{n}.{run}"] for run in recordings] for n in varying])
         self._spreads = np.array([index[f"{name}.spread"] for name in varying])
         # the population is the prior of varying parameters
-        self._joint_prior = JointPrior(self.priors[: self._shared])
         self._noise = [p.flat()[:, len(first.free) :].mean(axis=0) for p in posteriors]
         columns = [first.names.index(name) for name in varying]
         self._sds = np.array([p.flat()[:, columns].std(axis=0) for p in posteriors]).T
@@ -114,7 +113,7 @@ class JointTarget(LogPosterior):
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of parameters ``(n, d)``; that of a mean is flat."""
         x = parameters
-        out = self._joint_prior.log_density(x[:, : self._shared])
+        out = joint_log_density(self.priors[: self._shared], x[:, : self._shared])
         for k, places, sds in zip(self._spreads, self._varying, self._sds, strict=True):
             tau, theta = x[:, k], x[:, places]
             squares = ((theta - theta.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)

@@ -154,8 +154,9 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
 
     ValueError with fewer than two runs.
     """
-    likelihoods, middle, scale = _standardised(runs)
+    likelihoods = _Likelihoods(runs)
     means, sds = likelihoods.means, likelihoods.sds
+    middle, scale = likelihoods.middle, likelihoods.scale
     widest = 300.0 * (float(np.ptp(means)) + float(sds.max()))
     steps, z = np.linspace(np.log(0.01), np.log(widest), 90), np.linspace(-6.0, 6.0, 49)
     variance = sds**2 + np.exp(2.0 * steps)[:, None]
@@ -168,9 +169,8 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
     # the prior, steps even in log tau, and those of the mean as wide as it
     log += (log_prior(sds, steps) + np.log(error))[:, None]
     rng = np.random.default_rng(seed)
-    row, column = _picked(log, rng)
-    tau = np.exp(steps[row] + _within(steps, rng))
-    mu = centre[row] + error[row] * (z[column] + _within(z, rng))
+    (row, _), (log_tau, deviation) = _draw_from_grid(log, (steps, z), rng)
+    tau, mu = np.exp(log_tau), centre[row] + error[row] * deviation
     following = mu + tau * rng.standard_normal(_DRAWS)
     weights = 1.0 / sds**2
     q = float(weights @ (means - weights @ means / weights.sum()) ** 2)
@@ -190,8 +190,7 @@ def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0)
 
     ValueError with fewer than two runs.
     """
-    likelihoods, middle, scale = _standardised(runs)
-    sds = likelihoods.sds
+    likelihoods = _Likelihoods(runs)
     steps, z = likelihoods.steps_with_outliers(), np.linspace(-5.0, 5.0, 25)
     tau = np.exp(steps)
     centre, error = np.array([likelihoods.mean_of_inliers(t)[:2] for t in tau]).T
@@ -201,36 +200,44 @@ def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0)
         for j, share in enumerate(_SHARES):
             mixed = (1.0 - share) * inside + share * outside
             log[i, :, j] = np.log(np.maximum(mixed, 1e-300)).sum(axis=1)
-    log += (log_prior(sds, steps) + np.log(error))[:, None, None]
+    log += (log_prior(likelihoods.sds, steps) + np.log(error))[:, None, None]
     # Beta(1, 19); steps are even in the share's logarithm
     log += 18.0 * np.log1p(-_SHARES) + np.log(_SHARES)
     rng = np.random.default_rng(seed)
-    row, column, index = _picked(log, rng)
-    tau = np.exp(steps[row] + _within(steps, rng))
-    mu = centre[row] + error[row] * (z[column] + _within(z, rng))
-    e = _SHARES[index] * np.exp(_within(np.log(_SHARES), rng))
+    axes = (steps, z, np.log(_SHARES))
+    (row, *_), (log_tau, deviation, log_share) = _draw_from_grid(log, axes, rng)
+    tau, mu, e = np.exp(log_tau), centre[row] + error[row] * deviation, np.exp(log_share)
     outlying = []
     for k in range(0, _DRAWS, _DRAWS // 64):
         inside, outside = likelihoods.both(mu[k : k + 1], tau[k])
         out = e[k] * outside[0]
         outlying.append(out / np.maximum(out + (1.0 - e[k]) * inside[0], 1e-300))
     return WithOutliers(
-        interval(mu, level, middle, scale),
-        interval(tau, level, 0.0, scale),
+        interval(mu, level, likelihoods.middle, likelihoods.scale),
+        interval(tau, level, 0.0, likelihoods.scale),
         interval(e, level),
         tuple(np.mean(outlying, axis=0).tolist()),
     )
 
 
-@dataclass(frozen=True, eq=False)
 class _Likelihoods:
-    """Likelihoods of ``R`` runs in units of order one: mixtures of at most ``k`` normals."""
+    """Likelihoods of ``R`` runs, mixtures of at most ``k`` normals.
 
-    means: Array  # (R,)
-    sds: Array  # (R,)
-    centres: Array  # (R, k)
-    weights: Array  # (R, k), zero where a run has fewer
-    width: Array  # (R, 1)
+    They are about the ``middle``, the median of their means, and in units of the smallest sd, the
+    ``scale``. ``weights`` ``(R, k)`` are zero where a run has fewer normals.
+    """
+
+    def __init__(self, runs: Sequence[Likelihood]) -> None:
+        if len(runs) < 2:
+            raise ValueError("a population takes two runs or more")
+        means, sds = np.array([r.mean for r in runs]), np.array([r.sd for r in runs])
+        self.middle, self.scale = float(np.median(means)), float(sds.min())
+        self.means, self.sds = (means - self.middle) / self.scale, sds / self.scale
+        self.centres, self.weights = np.zeros((2, len(runs), max(r.centres.size for r in runs)))
+        for k, run in enumerate(runs):
+            self.centres[k, : run.centres.size] = (run.centres - self.middle) / self.scale
+            self.weights[k, : run.centres.size] = run.weights
+        self.width = np.array([[run.width / self.scale] for run in runs])
 
     def integrated(self, mean: Array, variance: float) -> Array:
         """Integrate over normals of means ``(m,)`` and a variance, ``(m, R)``."""
@@ -285,31 +292,15 @@ class _Likelihoods:
         return np.linspace(steps[first], steps[last], fine)
 
 
-def _standardised(runs: Sequence[Likelihood]) -> tuple[_Likelihoods, float, float]:
-    """Return likelihoods around the median of the means, in units of the smallest sd, and both."""
-    if len(runs) < 2:
-        raise ValueError("a population takes two runs or more")
-    means, sds = np.array([r.mean for r in runs]), np.array([r.sd for r in runs])
-    middle, scale = float(np.median(means)), float(sds.min())
-    centres, weights = np.zeros((2, len(runs), max(r.centres.size for r in runs)))
-    for k, run in enumerate(runs):
-        centres[k, : run.centres.size] = (run.centres - middle) / scale
-        weights[k, : run.centres.size] = run.weights
-    width = np.array([[run.width / scale] for run in runs])
-    scaled = _Likelihoods((means - middle) / scale, sds / scale, centres, weights, width)
-    return scaled, middle, scale
-
-
-def _picked(log: Array, rng: np.random.Generator) -> tuple[NDArray[np.intp], ...]:
-    """Draw points of a grid by their log density; return their indices."""
+def _draw_from_grid(
+    log: Array, axes: Sequence[Array], rng: np.random.Generator
+) -> tuple[tuple[NDArray[np.intp], ...], list[Array]]:
+    """Draw indices of cells by a log density, and places within cells of even axes."""
     probability = np.exp(log - log.max()).ravel()
     picked = rng.choice(probability.size, _DRAWS, p=probability / probability.sum())
-    return np.unravel_index(picked, log.shape)
-
-
-def _within(steps: Array, rng: np.random.Generator) -> Array:
-    """Draw places within a cell of a grid of even steps."""
-    return np.asarray((rng.random(_DRAWS) - 0.5) * (steps[1] - steps[0]))
+    cells = np.unravel_index(picked, log.shape)
+    pairs = zip(axes, cells, strict=True)
+    return cells, [x[i] + (rng.random(_DRAWS) - 0.5) * (x[1] - x[0]) for x, i in pairs]
 
 
 def log_prior(sds: Array, steps: Array) -> Array:

@@ -23,10 +23,10 @@ from bayesfric.base.safe_read import read_json, read_text
 from bayesfric.diagnostics.calibration_check import CalibrationCheckOptions
 from bayesfric.estimates.point_estimate import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
+from bayesfric.inference.likelihood import LikelihoodMethod
 from bayesfric.inference.noise import NoiseScale
 from bayesfric.inference.priors import PriorText
-from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.joint import PRESETS, Joint

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,15 +14,15 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.estimates.processing import (
-    Attenuated,
+    BandFit,
     attenuations,
     estimate_delay,
     fine_motion,
     with_fine_motion,
 )
 from bayesfric.inference.fitting import read_priors
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import MAX_ORDER, Autoregressive
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
@@ -110,36 +110,36 @@ def _read_all(
 
 def _with_band(
     recordings: list[Measurement], chain: Joint, tables: Tables
-) -> tuple[list[Measurement], Divided, Sequence[Attenuated]]:
+) -> tuple[list[Measurement], Divided, Mapping[str, tuple[BandFit, BandFit]]]:
     """Filter to a band that preserves the inertia, or note that the requested one does not."""
     divided = divide(recordings, tables.processing, tables.validation)
     _check_signals(chain, divided.observations)
     pair = divided.recordings, divided.observations
     attenuated = attenuations(chain, *pair, tables.processing)
     if not attenuated:
-        return recordings, divided, ()
+        return recordings, divided, {}
     if not tables.processing.chooses_band:
         return recordings, _note_attenuation(divided, attenuated), attenuated
-    narrower = {a.recording: a.narrower for a in attenuated}
+    narrower = {name: narrow.band for name, (_, narrow) in attenuated.items()}
     recordings = [replace(r, widest_band=narrower.get(r.name)) for r in recordings]
-    return recordings, divide(recordings, tables.processing, tables.validation), ()
+    return recordings, divide(recordings, tables.processing, tables.validation), {}
 
 
 def _note_attenuation(
-    divided: Divided, attenuated: Sequence[Attenuated], *, larger: float = 1.05
+    divided: Divided, attenuated: Mapping[str, tuple[BandFit, BandFit]], *, larger: float = 1.05
 ) -> Divided:
     """Note that a narrower band contradicts the requested one.
 
     If the inertia changes by less than a factor ``larger``, keep the user's bandwidth.
     """
     notes = {
-        a.recording: {
-            "band_doubted": a.band,
-            "band_narrower": a.narrower,
-            "inertia_narrower": a.larger / a.inertia,
+        name: {
+            "band_doubted": wide.band,
+            "band_narrower": narrow.band,
+            "inertia_narrower": narrow.inertia / wide.inertia,
         }
-        for a in attenuated
-        if a.larger > larger * a.inertia
+        for name, (wide, narrow) in attenuated.items()
+        if narrow.inertia > larger * wide.inertia
     }
     observations = [
         replace(o, settings={**o.settings, **notes.get(o.name, {})}) for o in divided.observations

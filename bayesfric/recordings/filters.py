@@ -235,13 +235,6 @@ class ParallelFilter:
         """Sample in the middle of every window, shape (M,)."""
         return self.starts + len(self.taps) // 2
 
-    def reached(self, weights: Array) -> Array:
-        """Transpose the filter: ``weights @ apply(x)`` is ``reached(weights) @ x``.
-
-        From weights (k, M) of outputs to (k, N) of samples.
-        """
-        return np.asarray(weights @ self._matrix)
-
     def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
         x = np.asarray(x, dtype=np.float64)

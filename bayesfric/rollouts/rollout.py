@@ -5,24 +5,22 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.fit.model import Model, Result
 from bayesfric.fit.result import result_of
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.sampling.convergence import autocorrelation
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.posterior import autocorrelation
 from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import (
-    Config,
-    config_of,
     document_text,
     parse_config,
     read_document,
@@ -37,20 +35,11 @@ from bayesfric.recordings.source import Recording
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 
-# Fitted recordings and draws by which the share of the residual torque is calibrated; its bound.
-_CALIBRATED, _CALIBRATION_DRAWS, _MAX_SHARE = 12, 40, 10.0
-# 90 % quantile of the square of a standard normal.
-_CHI_SQUARE = 1.6448536269514722**2
-# Samples of a segment that is simulated, at least.
-_MIN_SAMPLES = 20
 # Standard deviation of an encoder's rounding error, in steps.
 _ROUNDING = 12.0**-0.5
-# Draws whose mean prediction gives the residuals.
-_DRAWS = 100
-# Mean length of a block in autocorrelation times, and in samples at least.
-_BLOCK_TIMES, _MIN_BLOCK = 10.0, 10
-# Longest lag of an autocorrelation, relative to the series.
-_LONGEST = 0.1
+_Simulated = tuple[Array, Array]  # positions and speeds ``(n, N)`` of draws
+# Torque residuals of one recording, N m or N, and their period, s.
+Residuals = tuple[Array, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,29 +50,16 @@ class PreparedRecording:
     observation: Observation
     part: Part
 
-    @cached_property
-    def segments(self) -> NDArray[np.int64]:
-        """Segments that are simulated, ``(K, 2)``, also where the drive is off."""
+    def segments(self, *, shortest: int = 20) -> NDArray[np.int64]:
+        """Segments ``(K, 2)`` of so many samples at least, also where the drive is off."""
         m = self.measurement
         off = False if m.law is None or m.law.off is None else m.law.off
         parts = without_excluded(m.segments, m.excluded & np.logical_not(off))
-        segments = [(a, b) for a, b in parts if b - a >= _MIN_SAMPLES]
+        segments = [(a, b) for a, b in parts if b - a >= shortest]
         if not segments:
-            problem = f"has no segment of {_MIN_SAMPLES} samples"
+            problem = f"has no segment of {shortest} samples"
             raise BadInput(f"recording '{m.name}'", problem, "exclude less, or record longer")
         return np.array(segments, dtype=np.int64)
-
-    @cached_property
-    def used(self) -> Flags:
-        """Samples that are simulated, ``(N,)``."""
-        used = np.zeros(self.measurement.time.size, dtype=np.bool_)
-        for a, b in self.segments:
-            used[a:b] = True
-        return used
-
-
-_Band = tuple[Array, Array]
-_Simulated = tuple[Array, Array]  # positions and speeds ``(n, N)`` of draws
 
 
 def rollout(
@@ -131,14 +107,13 @@ def rollout(
         prepared = recordings_of_config(run, Path(recordings))
     else:
         new = [recordings] if isinstance(recordings, Recording) else recordings
-        prepared = prepared_recordings(run, new)
+        prepared = recordings_of_config(run, new)
     for recording in prepared:
-        _ = recording.segments  # raises before anything is simulated
+        recording.segments()  # raises before anything is simulated
     seed = run.model.config.tables.sampling.seed if seed is None else seed
     residuals = torque_residuals(run)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(13,)))
     picked = run.values(run.picked(draws))
-    few = run.values(run.picked(min(_CALIBRATION_DRAWS, draws)))
 
     def simulations(
         recording: PreparedRecording, values: Array, shares: Array
@@ -149,9 +124,10 @@ def rollout(
         blocks = bootstrapped(residuals, len(values), m.time.size, m.period, rng)
         return without, _simulate(run, recording, values, shares[:, None] * blocks, rng)
 
+    # fitted recordings calibrate the share of the residual torque, at most twelve by forty draws
     fitted = recordings_of_run(run, every=True)[len(run.model.held_out) :]
-    shares = {}
-    for recording in fitted[:: -(-len(fitted) // _CALIBRATED)]:
+    few, shares = run.values(run.picked(min(40, draws))), {}
+    for recording in fitted[:: -(-len(fitted) // 12)]:
         m = recording.measurement
         progress(Progress(f"unexplained torque: {m.name}"))
         (without, _), (disturbed, _) = simulations(recording, few, np.ones(len(few)))
@@ -165,7 +141,7 @@ def rollout(
         progress(Progress(f"roll-out: {recording.measurement.name}"))
         compared.append(_compare(run, recording, *simulations(recording, picked, share_of_draw)))
     unit = "N m" if run.joint.motor_motion == "rotary" else "N"
-    rms = rms_of(np.concatenate([series.values for series in residuals]))
+    rms = rms_of(np.concatenate([values for values, _ in residuals]))
     return RollOut(run.name, tuple(compared), len(picked), seed, shares, rms, unit)
 
 
@@ -179,15 +155,15 @@ def _simulate(
     """Simulate positions and speeds ``(n, N)``; NaN outside segments, or if they diverge."""
     m, o, chain = recording.measurement, recording.observation, run.joint
     law = m.law or Law(m.torque, np.ones(m.torque.shape), held=m.hold == "zero")
-    segments, start = recording.segments, recording.segments[:, 0]
+    segments = recording.segments()
+    start = segments[:, 0]
     q, qd = np.full((2, len(values), m.time.size), np.nan)
-    # a new recording takes the separate offset of a random fitted one
+    # a new recording has the separate offset of a random fitted one
     offsets = chain.own_offsets
     new = bool(offsets) and m.name not in offsets
     source = rng.integers(len(offsets), size=len(values)) if new else np.zeros(len(values))
     for k in np.unique(source).astype(int):
         rows = source == k
-        inputs = replace(o.inputs, recording=offsets[k]) if new else o.inputs
         q[rows], qd[rows] = follow(
             chain,
             values[rows],
@@ -197,7 +173,7 @@ def _simulate(
             o.q[start],
             o.qd[start],
             push=None if disturbance is None else disturbance[rows],
-            inputs=inputs,
+            inputs=replace(o.inputs, recording=offsets[k]) if new else o.inputs,
             begin=float(m.time[0]),
             held=law.held,
         )
@@ -209,7 +185,9 @@ def _simulate(
     return q, qd
 
 
-def moving_share(position: Array, without: Array, disturbed: Array, rounding: float) -> float:
+def moving_share(
+    position: Array, without: Array, disturbed: Array, rounding: float, *, largest: float = 10.0
+) -> float:
     """Estimate the share of the residual torque that moved the joint in a fitted recording.
 
     With it the band holds 90 % of the measured positions ``(N,)``, if all are normal and the motion
@@ -219,14 +197,15 @@ def moving_share(position: Array, without: Array, disturbed: Array, rounding: fl
     finite = np.isfinite(without).all(axis=0) & np.isfinite(disturbed).all(axis=0)
     if not finite.any() or len(without) < 2:
         return 1.0
+    quantile = chi2.ppf(LEVEL, 1)
     squares = (position - np.median(without, axis=0))[finite] ** 2
     variance = without.var(axis=0)[finite] + rounding**2
     added = np.maximum(disturbed.var(axis=0)[finite] - without.var(axis=0)[finite], 0.0)
     # the squared share by which each position is on the edge of its band
     with np.errstate(divide="ignore", invalid="ignore"):
-        needed = (squares / _CHI_SQUARE - variance) / added
-    needed = np.where(squares > _CHI_SQUARE * variance, needed, 0.0)
-    return float(min(np.sqrt(np.quantile(needed, LEVEL, method="inverted_cdf")), _MAX_SHARE))
+        needed = (squares / quantile - variance) / added
+    needed = np.where(squares > quantile * variance, needed, 0.0)
+    return float(min(np.sqrt(np.quantile(needed, LEVEL, method="inverted_cdf")), largest))
 
 
 def _overturned(joint: Joint, position: Array, *simulated: Array) -> Flags:
@@ -250,7 +229,10 @@ def _compare(
     run: Result, recording: PreparedRecording, without: _Simulated, disturbed: _Simulated
 ) -> Rolled:
     """Compare simulated motions, without and with residual torque, with the measured one."""
-    m, o, chain, used = recording.measurement, recording.observation, run.joint, recording.used
+    m, o, chain = recording.measurement, recording.observation, run.joint
+    used = np.zeros(m.time.size, dtype=np.bool_)
+    for a, b in recording.segments():
+        used[a:b] = True
     (q, qd), (q_disturbed, qd_disturbed) = without, disturbed
     finite = np.isfinite(q_disturbed[:, used]).all(axis=1) & np.isfinite(q[:, used]).all(axis=1)
     if not finite.any():
@@ -295,7 +277,7 @@ def _compare(
 
 def _bands(
     measured: Array, disturbed: Array, without: Array, used: Flags, step: float
-) -> tuple[_Band, _Band, Array, Error]:
+) -> tuple[tuple[Array, Array], tuple[Array, Array], Array, Error]:
     """Compute bands with residual torque and of the parameters alone, median, and its error."""
     ends = np.full((2, 3, used.size), np.nan)
     levels = [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2]
@@ -310,8 +292,7 @@ def _bands(
     )
     mean, rms = float(np.mean(np.abs(difference))), rms_of(difference)
     width = float(np.median((band[1] - band[0])[used]))
-    error = Error(mean, rms, inside, inside_alone, width)
-    return band, narrow, middle, error
+    return band, narrow, middle, Error(mean, rms, inside, inside_alone, width)
 
 
 def recordings_of_run(run: Result, *, every: bool = False) -> list[PreparedRecording]:
@@ -324,10 +305,21 @@ def recordings_of_run(run: Result, *, every: bool = False) -> list[PreparedRecor
     return [*held_out, *(PreparedRecording(m, o, "fitted") for m, o in pairs)]
 
 
-def recordings_of_config(run: Result, path: Path) -> list[PreparedRecording]:
-    """Read the recordings of another configuration; mechanism and processing may be left out."""
-    tables = tomllib.loads(run.model.config.text)
-    document = read_document(read_toml(path), path)
+def recordings_of_config(
+    run: Result, source: Path | Sequence[Recording]
+) -> list[PreparedRecording]:
+    """Prepare other recordings, or those of a configuration, as the run's.
+
+    Mechanism and processing of the configuration may be left out.
+    """
+    tables, recordings = tomllib.loads(run.model.config.text), None
+    path = source if isinstance(source, Path) else Path("recordings")
+    if isinstance(source, Path):
+        document = read_document(read_toml(path), path)
+    else:
+        recordings = source
+        items = [recording_table(x, n) for n, x in enumerate(recordings, start=1)]
+        document = {"recordings": items}
     for table in ("mechanism", "processing"):
         if table in tables:
             document.setdefault(table, tables[table])
@@ -339,23 +331,9 @@ def recordings_of_config(run: Result, path: Path) -> list[PreparedRecording]:
         raise BadInput(
             f"{path}: mechanism", "is not the run's", "leave it out: it is taken from the run"
         )
-    return _prepared(run, config, None)
-
-
-def prepared_recordings(run: Result, recordings: Sequence[Recording]) -> list[PreparedRecording]:
-    """Prepare recordings made in Python as the run's."""
-    tables = tomllib.loads(run.model.config.text)
-    document: dict[str, Any] = {k: tables[k] for k in ("mechanism", "processing") if k in tables}
-    document["recordings"] = [recording_table(x, n) for n, x in enumerate(recordings, start=1)]
-    return _prepared(run, config_of(document), recordings)
-
-
-def _prepared(
-    run: Result, config: Config, recordings: Sequence[Recording] | None
-) -> list[PreparedRecording]:
-    model = Model.from_config(config, terms=run.joint.terms, recordings=recordings)
-    parts = [*zip(model.recordings, model.observations, strict=True)]
-    parts += [(x.recording, x.observation) for x in model.held_out]
+    problem = Model.from_config(config, terms=run.joint.terms, recordings=recordings)
+    parts = [*zip(problem.recordings, problem.observations, strict=True)]
+    parts += [(x.recording, x.observation) for x in problem.held_out]
     return [PreparedRecording(m, o, _part(run, m)) for m, o in parts]
 
 
@@ -366,57 +344,53 @@ def _part(run: Result, m: Measurement) -> Part:
     return "fitted" if overlap else "new"
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """Torque residuals of one recording, N m or N, every ``period`` s."""
-
-    values: Array
-    period: float
-
-
-def torque_residuals(run: Result) -> list[Residuals]:
-    """Compute the torque residuals of every fitted recording."""
+def torque_residuals(run: Result, *, draws: int = 100) -> list[Residuals]:
+    """Compute the residuals of every fitted recording from the mean prediction of draws."""
     likelihood = TorqueLikelihood(run.joint, run.model.observations)
-    predicted = likelihood.predict(run.values(run.picked(_DRAWS)))
+    predicted = likelihood.predict(run.values(run.picked(draws)))
     return [
-        Residuals(o.measured - rows.mean(axis=0), o.period)
+        (o.measured - rows.mean(axis=0), o.period)
         for o, rows in zip(run.model.observations, predicted, strict=True)
     ]
 
 
 def bootstrapped(
-    residuals: list[Residuals], draws: int, samples: int, period: float, rng: np.random.Generator
+    residuals: Sequence[Residuals],
+    draws: int,
+    samples: int,
+    period: float,
+    rng: np.random.Generator,
+    *,
+    shortest: int = 10,
 ) -> Array:
     """Draw torques ``(draws, samples)``, every ``period`` s, by a block bootstrap of residuals.
 
-    A block is of any recording, begins anywhere in it, and has either sign; between its samples
-    the torque is interpolated linearly.
+    A block is of any recording, begins anywhere in it, has either sign, and on average ten
+    autocorrelation times, at least ``shortest`` samples; between its samples the torque is
+    interpolated linearly.
     """
-    sizes = np.array([series.values.size for series in residuals], dtype=np.float64)
-    times = [autocorrelation_time(series.values) for series in residuals]
-    duration = samples * period
-    out = np.zeros((draws, samples))
-    time = np.arange(samples) * period
+    sizes = np.array([values.size for values, _ in residuals], dtype=np.float64)
+    means = [max(shortest, 10.0 * autocorrelation_time(values)) for values, _ in residuals]
+    out, time = np.zeros((draws, samples)), np.arange(samples) * period
     for row in out:
         stamps, values, start = [], [], 0.0
-        while start <= duration:
+        while start <= samples * period:
             k = int(rng.choice(len(residuals), p=sizes / sizes.sum()))
-            series = residuals[k]
-            mean = max(_MIN_BLOCK, _BLOCK_TIMES * times[k])
-            length = min(1 + int(rng.geometric(1.0 / mean)), series.values.size)
-            first = int(rng.integers(series.values.size))
-            block = (first + np.arange(length)) % series.values.size
-            stamps.append(start + series.period * np.arange(length))
-            values.append(rng.choice((-1.0, 1.0)) * series.values[block])
-            start = stamps[-1][-1] + series.period
+            series, series_period = residuals[k]
+            length = min(1 + int(rng.geometric(1.0 / means[k])), series.size)
+            first = int(rng.integers(series.size))
+            block = (first + np.arange(length)) % series.size
+            stamps.append(start + series_period * np.arange(length))
+            values.append(rng.choice((-1.0, 1.0)) * series[block])
+            start = stamps[-1][-1] + series_period
         row[:] = np.interp(time, np.concatenate(stamps), np.concatenate(values))
     return out
 
 
 def autocorrelation_time(values: Array) -> float:
-    """Integrate the autocorrelation, in samples, up to the first one below zero."""
+    """Integrate the autocorrelation, in samples, up to the first below zero or a tenth."""
     if not np.ptp(values) > 0.0:
         return 1.0
-    r = autocorrelation(values[np.newaxis])[1 : max(2, int(_LONGEST * values.size))]
+    r = autocorrelation(values[np.newaxis])[1 : max(2, int(0.1 * values.size))]
     end = int(np.argmax(r <= 0.0)) if (r <= 0.0).any() else r.size
     return 1.0 + 2.0 * float(r[:end].sum())

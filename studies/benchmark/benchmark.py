@@ -31,11 +31,11 @@ from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.inference.fitting import fit, target_of
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.moments.fast_moments import fast_moments
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.moments import fast_moments
 from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.priors import read_prior
-from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.inference.sampling import Sampling
 from bayesfric.inference.target import Target
 
 # any first moment: it fixes the scale that no torque determines, and starts the search

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.fitting import make_target
 from bayesfric.inference.priors import Prior, read_prior
-from bayesfric.inference.sampling.start import climb, gauss_newton
+from bayesfric.inference.start import climb, gauss_newton
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import PRESETS, Joint

@@ -32,11 +32,11 @@ from ranks import summary_of
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.torque import filtered_torque
+from bayesfric.inference import sampling
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.priors import Prior, read_prior
-from bayesfric.inference.sampling import sampling
-from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.inference.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record

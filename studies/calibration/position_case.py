@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.fitting import target_of
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, read_prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.experiment import Simulation, record

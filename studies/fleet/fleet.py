@@ -31,6 +31,7 @@ from bayesfric.commands.simulate import simulate
 from bayesfric.fleet.fleet import Fleet
 from bayesfric.fleet.results import fleet_population
 from bayesfric.problem.config import parse_config
+from bayesfric.report.summary.record import Summary, read_summary_file
 
 FOLDER = Path(__file__).resolve().parent
 SEED = 21
@@ -166,9 +167,10 @@ def covered(folder: Path, kind: str, parts: int = 20) -> dict[str, Any]:
     plan = Fleet.from_config(folder / "fleet.toml").plan
     counts: dict[str, Any] = {}
     for k in range(parts):
+        runs = folder / "all" / "units"
         names = [unit.name for unit in plan.units[k::parts]]
-        population = fleet_population(folder / "all" / "units", names)
-        for quantity in population.quantities:
+        summaries = {name: Summary.read(read_summary_file(runs / name)) for name in names}
+        for quantity in fleet_population(runs, summaries):
             if quantity.name not in POPULATION[kind]:
                 continue
             held = counts.setdefault(quantity.name, {"fleets": 0, "mean": 0, "spread": 0})

@@ -35,7 +35,7 @@ ROOT = FOLDER.parents[1]
 ROOMS = {
     "mechanism": "mechanism",
     "estimates": "estimates",
-    "inference/likelihood": "inference",
+    "inference": "inference",
     "diagnostics": "diagnostics",
 }
 # Plausible changes of arithmetic operators.

@@ -37,10 +37,10 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
     truth = PRESETS["rabbit-knee"].values
     bench = Simulation(encoder_counts=8192, encoder_side="motor", torque_noise=0.02)
     rows = []
-    for number, experiment in enumerate(advice.advices, start=1):
+    for number, candidate in enumerate(advice.candidates, start=1):
         if number > FIRST and number % STRIDE:
             continue
-        candidate, load = experiment.candidate, experiment.candidate.inputs
+        load = candidate.inputs
         settings = {"rate": 1.0 / candidate.period, "lag": candidate.lag}
         settings |= {"added_mass": load.added_mass, "radius": load.radius}
         columns = measure(
@@ -65,23 +65,23 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
         rows.append(
             {
                 "rank": number,
-                "form": experiment.candidate.form,
-                "amplitude": experiment.candidate.amplitude,
+                "form": candidate.form,
+                "amplitude": candidate.amplitude,
                 "added_mass": load.added_mass,
                 "radius": load.radius,
-                "predicted": experiment.after.sd,
+                "predicted": candidate.after.sd,
                 "sampled": sd,
                 "status": status,
-                "back_driven": {k: v["mean"] for k, v in experiment.load_drives.items()},
+                "back_driven": candidate.load_drives,
             }
         )
         print(
-            f"  {number:2d} {rows[-1]['form']} predicted {experiment.after.sd:.5f} sampled {sd:.5f}"
+            f"  {number:2d} {rows[-1]['form']} predicted {candidate.after.sd:.5f} sampled {sd:.5f}"
         )
     best = min(row["sampled"] for row in rows)
     return {
         "quantity": name,
-        "ranked": len(advice.advices),
+        "ranked": len(advice.candidates),
         "candidates": rows,
         "chosen_over_best": rows[0]["sampled"] / best,
     }

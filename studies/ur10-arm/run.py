@@ -14,10 +14,10 @@ import pandas as pd
 
 import bayesfric as bf
 from bayesfric.arm.arm_rollout import rollout
-from bayesfric.arm.base_parameters import combinations
 from bayesfric.arm.fitted_arm import FittedArm
+from bayesfric.arm.inertial_prior import combinations
 from bayesfric.base.progress import Timer
-from bayesfric.inference.predictive import Prediction, predict_held_out
+from bayesfric.inference.posterior import Prediction, predict_held_out
 
 FOLDER = Path(__file__).parent
 DATA = FOLDER.parents[2] / "shared" / "data" / "ur10-arm"

@@ -15,7 +15,7 @@ from typing import Any
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.posterior import predict_held_out
 from bayesfric.problem.config import parse_config
 from bayesfric.report.summary.parts import validation_record
 

@@ -1,4 +1,4 @@
-"""A small arm: its URDF, and logs of it that MuJoCo makes, which no estimator has part in."""
+"""A small arm: its URDF, and logs of it simulated by MuJoCo."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -16,7 +16,7 @@ LINKS = {
 }
 # How much heavier than in the URDF links are where it is not quite right.
 FACTORS = MappingProxyType({"upper": 1.1, "lower": 0.92, "tool": 1.08})
-GRAVITY = (0.0, 0.0, -9.80665)  # MuJoCo's own is 9.81
+GRAVITY = (0.0, 0.0, -9.80665)  # MuJoCo's default is 9.81
 SHOULDER, ELBOW, SLIDE = "shoulder_joint", "elbow_joint", "slide_joint"
 
 
@@ -30,12 +30,12 @@ def link(name: str, factor: float = 1.0) -> str:
     )
 
 
-def joint(name: str, parent: str, child: str, kind: str = "revolute", more: str = "") -> str:
+def joint(name: str, parent: str, child: str, kind: str = "revolute", extra: str = "") -> str:
     limit = "" if kind == "fixed" else '<limit lower="-3" upper="3" effort="90" velocity="9"/>'
     axis = "0 0 1" if kind == "prismatic" else "0 1 0"
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0.01 0.02 0.3"/><axis xyz="{axis}"/>{limit}{more}</joint>'
+        f'<origin xyz="0.01 0.02 0.3"/><axis xyz="{axis}"/>{limit}{extra}</joint>'
     )
 
 
@@ -56,7 +56,7 @@ def urdf(factors: Mapping[str, float] = MappingProxyType({}), *, slides: bool = 
 def rigid_torque(
     text: str, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, gravity: tuple | None = None
 ) -> np.ndarray:
-    """Inverse dynamics by MuJoCo, ``(n, n_joints)`` as what goes in; or another gravity."""
+    """Inverse dynamics by MuJoCo, ``(n, n_joints)`` as its arguments."""
     model = mujoco.MjModel.from_xml_string(text)
     if gravity is not None:
         model.opt.gravity[:] = gravity
@@ -71,16 +71,16 @@ def rigid_torque(
 
 
 def motion(seconds: float, faster: float = 1.0, rate: float = 200.0) -> tuple[np.ndarray, ...]:
-    """Time, and position, speed and acceleration of two joints, ``(n, 2)``, all of sines."""
+    """Sum of sines: time, and position, speed and acceleration of two joints ``(n, 2)``."""
     time = np.arange(0.0, seconds, 1.0 / rate)
-    found = np.zeros((3, time.size, 2))
+    motion = np.zeros((3, time.size, 2))
     for k, waves in enumerate((((0.9, 0.23), (0.4, 0.71)), ((1.1, 0.31), (0.3, 0.93)))):
         for size, hertz in waves:
             w = 2.0 * np.pi * hertz * faster
-            found[0, :, k] += size * np.sin(w * time + k)
-            found[1, :, k] += size * w * np.cos(w * time + k)
-            found[2, :, k] -= size * w**2 * np.sin(w * time + k)
-    return time, *found
+            motion[0, :, k] += size * np.sin(w * time + k)
+            motion[1, :, k] += size * w * np.cos(w * time + k)
+            motion[2, :, k] -= size * w**2 * np.sin(w * time + k)
+    return time, *motion
 
 
 def log(
@@ -91,14 +91,14 @@ def log(
     faster: float = 1.0,
 ) -> pd.DataFrame:
     """Record the arm of a URDF with friction, white encoder and torque noise."""
-    noise = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     time, q, qd, qdd = motion(seconds, faster)
-    carried = rigid_torque(text, q, qd, qdd, GRAVITY)
+    rigid = rigid_torque(text, q, qd, qdd, GRAVITY)
     columns = {"time [s]": time}
-    for k, (name, own) in enumerate(truth.items()):
-        lost = own["motor.coulomb"] + own["motor.load"] * np.abs(carried[:, k])
-        effort = carried[:, k] + own["motor.inertia"] * qdd[:, k]
-        effort += lost * np.sign(qd[:, k]) + own["motor.viscous"] * qd[:, k]
-        columns[f"position[{name}] [rad]"] = q[:, k] + 2e-6 * noise.normal(size=time.size)
-        columns[f"effort[{name}] [N m]"] = effort + 0.3 * noise.normal(size=time.size)
+    for k, (name, numbers) in enumerate(truth.items()):
+        friction = numbers["motor.coulomb"] + numbers["motor.load"] * np.abs(rigid[:, k])
+        effort = rigid[:, k] + numbers["motor.inertia"] * qdd[:, k]
+        effort += friction * np.sign(qd[:, k]) + numbers["motor.viscous"] * qd[:, k]
+        columns[f"position[{name}] [rad]"] = q[:, k] + 2e-6 * rng.normal(size=time.size)
+        columns[f"effort[{name}] [N m]"] = effort + 0.3 * rng.normal(size=time.size)
     return pd.DataFrame(columns)

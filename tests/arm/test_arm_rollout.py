@@ -23,16 +23,15 @@ pytestmark = pytest.mark.usefixtures("unexplained")
 PERIOD = 0.005
 
 
-def friction(**more):
-    """Numbers of joints, forwards and backwards alike; nothing of what is not named."""
-    count = len(next(iter(more.values())))
-    return {key: np.tile(more.get(key, [0.0] * count), (2, 1)) for key in NUMBERS}
+def friction(**numbers):
+    """Numbers of joints, the same in both directions; zero where left out."""
+    zero = [0.0] * len(next(iter(numbers.values())))
+    return {key: np.tile(numbers.get(key, zero), (2, 1)) for key in NUMBERS}
 
 
-def played(dynamics, numbers, motion, effort):
-    count = motion.shape[2]
-    time, on = PERIOD * np.arange(count), np.arange(len(effort))
-    return simulate_arm(dynamics, numbers, time, motion, effort, on, time == 0.0)
+def simulated(dynamics, numbers, motion, effort):
+    time, driven = PERIOD * np.arange(motion.shape[2]), np.arange(len(effort))
+    return simulate_arm(dynamics, numbers, time, motion, effort, driven, time == 0.0)
 
 
 def test_coulomb_friction_stops_a_joint_and_holds_it():
@@ -43,7 +42,7 @@ def test_coulomb_friction_stops_a_joint_and_holds_it():
     effort = np.zeros((1, 200))
     effort[0, 120:] = 0.99 * coulomb
     numbers = friction(armature=[0.5 * inertia], coulomb=[coulomb])
-    (q,) = played(lambda *_: (np.array([[0.5 * inertia]]), np.zeros(1)), numbers, motion, effort)
+    (q,) = simulated(lambda *_: (np.array([[0.5 * inertia]]), np.zeros(1)), numbers, motion, effort)
     time, stops = PERIOD * np.arange(200), speed * inertia / coulomb
     assert stops < 120 * PERIOD
     t = np.minimum(time, stops)
@@ -53,7 +52,7 @@ def test_coulomb_friction_stops_a_joint_and_holds_it():
 
 
 def test_friction_that_depends_on_direction_and_load():
-    """Of uniform motion either way the effort is what the paper's element loses, and no other."""
+    """The effort of uniform motion in each direction is the element's friction, and no other."""
     load = 4.0
     numbers = {
         "armature": np.full((2, 1), 0.1),
@@ -69,29 +68,29 @@ def test_friction_that_depends_on_direction_and_load():
     for speed, effort in ((0.8, 1.0 + 0.4 + 0.1 * load), (-0.8, -2.0 - 0.56 - 0.3 * load)):
         motion = np.zeros((3, 1, 100))
         motion[1] = speed
-        (q,) = played(dynamics, numbers, motion, np.full((1, 100), effort + load + 0.2))
+        (q,) = simulated(dynamics, numbers, motion, np.full((1, 100), effort + load + 0.2))
         np.testing.assert_allclose(q, speed * PERIOD * np.arange(100), atol=1e-9)
 
 
-def test_several_joints_stick_and_slide_as_their_impulses_allow():
-    """The speeds minimise what they are to, better than any near them (subgradients)."""
+def test_impulses_of_friction_minimise_their_convex_function():
+    """By its subgradients: joints stick within the bounds, and slide at them."""
     rng = np.random.default_rng(1)
     for _ in range(20):
         root = rng.normal(size=(4, 4))
-        mass, free, lost = (
+        mass, free, loss = (
             root @ root.T + 0.1 * np.eye(4),
             rng.normal(size=4),
             rng.uniform(size=(2, 4)),
         )
-        v = arm_rollout._with_friction(mass, free, lost, np.zeros(4))
+        v = arm_rollout._with_friction(mass, free, loss, np.zeros(4))
         push = mass @ (free - v)
-        assert np.all(push <= lost[0] + 1e-7)
-        assert np.all(push >= -lost[1] - 1e-7)
-        np.testing.assert_allclose(push[v > 1e-8], lost[0][v > 1e-8], atol=1e-7)
-        np.testing.assert_allclose(push[v < -1e-8], -lost[1][v < -1e-8], atol=1e-7)
+        assert np.all(push <= loss[0] + 1e-7)
+        assert np.all(push >= -loss[1] - 1e-7)
+        np.testing.assert_allclose(push[v > 1e-8], loss[0][v > 1e-8], atol=1e-7)
+        np.testing.assert_allclose(push[v < -1e-8], -loss[1][v < -1e-8], atol=1e-7)
 
 
-def test_without_coulomb_friction_it_moves_as_in_mujoco(tmp_path):
+def test_motion_without_coulomb_friction_is_that_of_mujoco(tmp_path):
     (tmp_path / "arm.urdf").write_text(bench.urdf())
     bodies = Bodies(tmp_path / "arm.urdf", bench.GRAVITY)
     count = 200
@@ -113,70 +112,66 @@ def test_without_coulomb_friction_it_moves_as_in_mujoco(tmp_path):
     motion[0, :, 0] = start
     numbers = friction(armature=[0.4, 0.2], viscous=[1.5, 0.8])
     dynamics = bodies.dynamics(bodies.prior(Uncertainty(), Payload()).columns(loaded=False)[:, 0])
-    q = played(dynamics, numbers, motion, np.repeat(effort[:, None], count, axis=1))
+    q = simulated(dynamics, numbers, motion, np.repeat(effort[:, None], count, axis=1))
     assert np.ptp(exact, axis=0).min() > 0.3
     np.testing.assert_allclose(q.T, exact, atol=1e-3)
 
 
 @pytest.fixture(scope="module")
 def predicting(arm):
-    """The same arm, and a log of another motion that it was not fitted to."""
+    """The fitted arm with a log of another motion."""
     folder = arm.urdf.parent
-    text = bench.urdf(bench.FACTORS)
-    other = bench.log(text, TRUTH, seconds=10.0, seed=2, faster=1.37)
+    other = bench.log(bench.urdf(bench.FACTORS), TRUTH, seconds=10.0, seed=2, faster=1.37)
     other.to_csv(folder / "other.csv", index=False)
-    made = Arm(folder / "arm.urdf", QUICK)
-    layout = layout_of(folder / "other.csv", made.bodies.joints, None)
-    log = ArmLog(folder / "other.csv", "other", made.options, layout, made.bodies.joints, 10_000)
+    options, joints = Arm(folder / "arm.urdf", QUICK).options, arm.bodies.joints
+    layout = layout_of(folder / "other.csv", joints, None)
+    log = ArmLog(folder / "other.csv", "other", options, layout, joints, 10_000)
     return replace(arm, logs=(*arm.logs, log))
 
 
 def test_bands_hold_another_motion(predicting):
-    """20 times anew: of 24 draws' ends 83 % are held, less than 50 once in a thousand times."""
-    found = rollout(predicting, seconds=0.5, draws=24, seed=1)
-    assert found.log == "other"
-    told = found.as_json()
-    assert set(told["held"]) == set(told["rms"]) == {SHOULDER, ELBOW}
-    for name, held in told["held"].items():
-        assert held > 0.5, name
-        assert f"{name} {told['rms'][name]:.2g} rad off" in found.text()
-    # and tell where it goes: a tenth of how far it moves
-    assert np.all((found.high - found.low).mean(axis=1) < 0.1 * np.std(found.measured, axis=1))
-    some, again = (rollout(predicting, seconds=0.5, draws=2, seed=1) for _ in range(2))
-    assert some.as_csv() == again.as_csv()
+    """20 repetitions: of 24 draws' ends 83 % are held, less than 50 once in a thousand times."""
+    result = rollout(predicting, seconds=0.5, draws=24, seed=1)
+    assert result.log == "other"
+    record = result.as_json()
+    assert set(record["held"]) == set(record["rms"]) == {SHOULDER, ELBOW}
+    for name, coverage in record["held"].items():
+        assert coverage > 0.5, name
+        assert f"{name} {record['rms'][name]:.2g} rad off" in result.text()
+    # and are narrow: a tenth of how far it moves
+    low, _, high = result.bands
+    assert np.all((high - low).mean(axis=1) < 0.1 * np.std(result.measured, axis=1))
+    first, repeated = (rollout(predicting, seconds=0.5, draws=2, seed=1) for _ in range(2))
+    assert first.as_csv() == repeated.as_csv()
 
 
 def test_a_fitted_arm_moves_as_measured(arm):
-    found = rollout(arm, seconds=0.5, draws=12, seed=1)
-    assert found.joints == (SHOULDER, ELBOW)
-    assert np.count_nonzero(found.restarts) == 40
-    for name, rms in found.rms.items():
-        j = found.joints.index(name)
-        still = found.measured[j] - found.measured[j][found.restarts][np.cumsum(found.restarts) - 1]
+    result = rollout(arm, seconds=0.5, draws=12, seed=1)
+    assert [*result.units] == [SHOULDER, ELBOW]
+    assert np.count_nonzero(result.restarts) == 40
+    for (name, rms), measured in zip(result.rms.items(), result.measured, strict=True):
+        still = measured - measured[result.restarts][np.cumsum(result.restarts) - 1]
         assert rms < 0.1 * np.std(still)
-        # 40 times anew: of 12 draws' ends 77 % are held, and by chance half as many never
-        assert found.coverage[name] > 0.5
-    assert (found.low <= found.middle).all()
-    assert (found.middle <= found.high).all()
-    assert f"{ELBOW}" in found.text()
+        # 40 repetitions: of 12 draws' ends 77 % are held, and by chance half as many never
+        assert result.coverage[name] > 0.5
+    assert (np.diff(result.bands, axis=0) >= 0.0).all()
 
 
-def test_a_median_that_is_off_all_along_is_off_by_that():
-    """Root mean square, and not what is left beside a mean."""
-    on, off = np.zeros((1, 4)), np.full((1, 4), 0.3)
-    begins = np.array([True, False, False, False])
-    told = "log", 0.5, ("one",), ("rad",), np.arange(4.0), begins
-    found = arm_rollout.ArmRollOut(*told, on, off - 0.1, off, off + 0.1)
-    assert found.rms == {"one": pytest.approx(0.3)}
-    assert found.coverage == {"one": 0.0}
+def test_error_is_about_zero_and_not_about_a_mean():
+    measured, restarts = np.zeros((1, 4)), np.array([True, False, False, False])
+    bands = np.full((3, 1, 4), 0.3) + np.array([-0.1, 0.0, 0.1])[:, None, None]
+    units, time = {"a": "rad"}, np.arange(4.0)
+    result = arm_rollout.ArmRollOut("log", 0.5, units, time, restarts, measured, bands)
+    assert result.rms == {"a": pytest.approx(0.3)}
+    assert result.coverage == {"a": 0.0}
 
 
-def test_what_cannot_be_played_is_refused(arm):
+def test_unsupported_roll_outs_are_refused(arm):
     with pytest.raises(BadInput, match="seconds"):
         rollout(arm, seconds=1e-4)
-    one = arm.joints[ELBOW]
-    names = [*one.result.fit.chain.names[:-1], "motor.stribeck"]
+    joint = arm.joints[ELBOW]
+    names = [*joint.result.fit.chain.names[:-1], "motor.stribeck"]
     fit = SimpleNamespace(chain=SimpleNamespace(names=names))
-    other = replace(one, result=SimpleNamespace(fit=fit))
+    other = replace(joint, result=SimpleNamespace(fit=fit))
     with pytest.raises(BadInput, match=r"motor\.stribeck"):
         arm_rollout._friction(other, np.zeros((1, len(names))))

@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,8 +39,6 @@ seed = 1
 """
 RECORDING = CONFIG[CONFIG.index("[[recordings]]") : CONFIG.index("[processing]")]
 PRIOR = '"motor.coulomb" = [0.0, 1.0]'
-
-
 JOINT = '[mechanism]\npreset = "motor-axis"\n'
 
 
@@ -56,9 +53,9 @@ torque = {{ column = "torque", unit = "N m" }}
 """
 
 
-def simulation(**more):
+def simulation(**changes):
     """Table of a recording that is simulated in a moment."""
-    keys = {"duration": 3.0, "rate": 200, "excitation": "multisine"} | more
+    keys = {"duration": 3.0, "rate": 200, "excitation": "multisine"} | changes
     return "\n[simulation]\n" + "".join(f"{key} = {json.dumps(x)}\n" for key, x in keys.items())
 
 
@@ -77,21 +74,17 @@ model = "white"
 
 
 def simulated(path, text, name="small", seed=None):
-    """Write a configuration and, beside it, the recording that it says to simulate."""
+    """Write a configuration and, next to it, the recording that it simulates."""
     path.write_text(text, encoding="utf-8")
     simulate(read_config(path), path.with_name(f"{name}.csv"), seed=seed)
 
 
-def swing(n=400):
-    """Return time, position and torque; time stamps are exact decimals."""
+def lines(n=400):
+    """Lines of a recording; time stamps are exact decimals."""
     t = np.round(np.arange(n) * 0.01, 9)
     q = np.sin(2 * np.pi * 0.7 * t) + 0.3 * np.sin(2 * np.pi * 1.9 * t)
-    return t, q, 0.3 * np.cos(2 * np.pi * 0.7 * t) + 0.01 * t
-
-
-def lines(n=400):
-    rows = np.stack(swing(n), axis=1).tolist()
-    return ["t,q,tau", *(",".join(map(repr, row)) for row in rows)]
+    rows = np.stack([t, q, 0.3 * np.cos(2 * np.pi * 0.7 * t) + 0.01 * t], axis=1)
+    return ["t,q,tau", *(",".join(map(repr, row)) for row in rows.tolist())]
 
 
 def cases(*rows):
@@ -126,7 +119,7 @@ class Bench:
         (self.folder / "run.csv").write_text("\n".join(rows) + "\n")
 
     def held(self):
-        """Everything in the folder, hidden files too."""
+        """Content of the folder, hidden files too."""
         return {
             path.relative_to(self.folder): path.read_bytes() if path.is_file() else None
             for path in self.folder.rglob("*")
@@ -146,28 +139,26 @@ class Bench:
                 code = stop.code
         return Outcome(code, *self._capture.readouterr())
 
-    def told(self, *arguments, codes=(0,)):
-        """Run the command with ``--json``, which ends well, and give what it prints."""
+    def record(self, *arguments, codes=(0,)):
+        """Run the command with ``--json``, which succeeds, and return its record."""
         ended = self.run(*arguments, "--json")
         assert ended.code in codes, ended
         return json.loads(ended.out)
 
     def summary(self, run="run"):
-        """Read what a run's folder holds of its numbers."""
+        """Read ``summary.json`` of a run."""
         return json.loads((self.folder / run / "summary.json").read_text(encoding="utf-8"))
 
     def altered(self, change, name="small"):
-        """Change the table of a recording that was simulated, in place or by what comes back."""
+        """Change the table of a simulated recording by a function."""
         path = self.folder / f"{name}.csv"
-        table = np.loadtxt(path, delimiter=",", skiprows=1)
-        made = change(table)
         header = path.read_text().split("\n", 1)[0]
-        rows = table if made is None else made
-        np.savetxt(path, rows, "%.17g", ",", header=header, comments="")
+        table = change(np.loadtxt(path, delimiter=",", skiprows=1))
+        np.savetxt(path, table, "%.17g", ",", header=header, comments="")
 
     def run_apart(self, *arguments):
-        """Run the command the way a user does, in a process of its own."""
-        done = subprocess.run(
+        """Run the command the way a user does, in a separate process."""
+        ended = subprocess.run(
             [sys.executable, "-m", "bayesfric", *map(str, arguments)],
             cwd=self.folder,
             capture_output=True,
@@ -175,25 +166,19 @@ class Bench:
             timeout=600,
             check=False,
         )
-        return Outcome(done.returncode, done.stdout, done.stderr)
+        return Outcome(ended.returncode, ended.stdout, ended.stderr)
 
     def refused(self, *arguments, run=None):
-        """Run on bad input; what it says in its one line."""
+        """Run on bad input, and return its line of error."""
         before = self.held()
         outcome = (run or self.run)(*(arguments or ("check", "c.toml")))
         assert outcome.code == 2, outcome
         assert outcome.out == ""
         assert re.fullmatch(r"bayesfric: [^\n]+: [^\n]+; [^\n]+\n", outcome.err), outcome.err
-        for foreign in ("Traceback", "Input should", "pydantic", "_parse_args", "ufunc", "<class"):
-            assert foreign not in outcome.err
+        for internal in ("Traceback", "Input should", "pydantic", "ufunc", "<class"):
+            assert internal not in outcome.err
         assert self.held() == before
         return outcome.err
-
-
-def below_a_file(folder: Path):
-    """A place nobody can write to, whatever their rights."""
-    (folder / "plain").write_text("a file, not a folder")
-    return "plain"
 
 
 def without_figures(patch):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag, toeplitz
 
 import bayesfric as bf
-from bayesfric.diagnostics.autocorrelation import Layout
+from bayesfric.diagnostics.statistics import Layout
 from bayesfric.estimates import autoregression as ar
 from bayesfric.fit.model import Model
 from tests.axis import recording_of
@@ -48,8 +48,8 @@ def table(duration=10.0):
     return bf.simulate(axis(), TRUTH, **options)[::10]
 
 
-def recording(made=None):
-    return recording_of(table() if made is None else made, side="motor")
+def recording(columns=None):
+    return recording_of(table() if columns is None else columns, side="motor")
 
 
 def model(recordings=None, processing=None, joint=None, **tables):
@@ -72,8 +72,10 @@ def draws_about(values, share=0.01, n=4):
 def laid_out(*counts, gaps=(), rate=100.0):
     """Recordings of so many outputs, those at ``gaps`` missing from each."""
     at = [np.setdiff1d(np.arange(n), gaps) for n in counts]
-    runs = tuple(np.diff(one) == 1 for one in at)
-    return Layout(runs, tuple(one - one[0] for one in at), tuple(one / rate for one in at))
+    runs = tuple(np.diff(steps) == 1 for steps in at)
+    return Layout(
+        runs, tuple(steps - steps[0] for steps in at), tuple(steps / rate for steps in at)
+    )
 
 
 def autoregressive(partial, at):

@@ -1,13 +1,101 @@
-"""What a fit says of itself: the bias of central differences is found, and doubted."""
+"""The bias of a fit by its filters: dense generalised least squares, and central differences."""
 
 import json
+from copy import copy
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from numba import get_num_threads, set_num_threads
 from scipy.stats import norm
 
-from bayesfric.diagnostics.policy import REPLICATES
-from tests.diagnostics.bench import CENTRAL, TRUTH, model
+import bayesfric as bf
+from bayesfric.diagnostics.calibration_check import calibration_check
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Replicate
+from bayesfric.diagnostics.statistics import REPLICATES, Autocorrelation
+from bayesfric.fit.model import Model
+from bayesfric.inference.target import units_of
+from bayesfric.mechanism.inverse import inverse_torque
+from tests.axis import AXIS, VALUES, swing
+from tests.diagnostics.bench import CENTRAL, TRUTH, dense_covariance, laid_out, model
+
+KNOWN = {"noise.sigma": 0.02, "noise.pacf_1": 0.6, "noise.pacf_2": -0.2, "noise.pacf_3": 0.1}
+
+
+@pytest.fixture(scope="module")
+def target():
+    """Of autocorrelated noise, with one parameter known and one whose prior says much."""
+    time, autocorrelation = 0.004 * np.arange(1500), Autocorrelation(np.array([0.97]))
+    motion = swing(time, ((0.4, 1.0), (1.3, 0.3)))
+    torque = inverse_torque(AXIS, AXIS.vector(VALUES), *motion)
+    torque = torque + 0.02 * autocorrelation.drawn(laid_out(1500), np.random.default_rng(1))
+    priors = {
+        "motor.coulomb": 0.3,
+        "load.first_moment": {"distribution": "norm", "loc": 0.3, "scale": 1e-3},
+    }
+    source = bf.Recording.from_arrays(time, motion[0], torque)
+    return Model(AXIS, source, priors=priors).target(VALUES)
+
+
+def checked(target, replicates=(), reason=None, status="reliable", rest=None):
+    median = np.array([(VALUES | KNOWN)[name] for name in target.names])
+    posterior = SimpleNamespace(median=median, diagnostics=SimpleNamespace(status=status))
+    explained = Explanation(replicates=tuple(replicates), reason=reason)
+    observations = [SimpleNamespace(rest=None), SimpleNamespace(rest=rest)]
+    return median, calibration_check(target, posterior, observations, explained)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-6, 0.1])
+def test_a_replicates_fit_is_one_step_of_generalised_least_squares(target, size):
+    """With the noise of the posterior, and of the prior only what it says of a change."""
+    rng, where = np.random.default_rng(2), laid_out(80, gaps=[20, 21, 50])
+    assert target.names[-1] != "noise.sigma"
+    values = AXIS.vector(VALUES) * [1.1, 0.9, 1.0, 1.05, 0.8]
+    base, left = rng.standard_normal((where.outputs, 5)), size * rng.standard_normal(where.outputs)
+    median, result = checked(target, [Replicate(values, base, left, where)] * 2)
+    k = len(target.free)
+    free = [AXIS.names.index(name) for name in target.free]
+    assert len(free) == 4
+    np.testing.assert_allclose(result.truth, [[*values[free], *median[k:]]] * 2)
+    assert result.reason is None
+    # runs are independent of each other, as the likelihood has them
+    blocks = [dense_covariance(Autocorrelation(median[k + 1 :]), laid_out(n)) for n in (20, 28, 29)]
+    root = np.zeros((77, 77))
+    begin = 0
+    for block in blocks:
+        part = slice(begin, begin := begin + len(block))
+        root[part, part] = np.linalg.inv(np.linalg.cholesky(block)) / median[k]
+    x, y = root @ base[:, free], root @ left
+    sds = np.array([prior.sd() for prior in target.priors[:k]])
+    step = np.linalg.solve(x.T @ x + np.diag(sds**-2.0), x.T @ y)
+    assert result.unexplained[0] == pytest.approx(np.mean((y - x @ step) ** 2), rel=1e-6)
+    # a way of a thousandth of a unit at most, along logarithms: to first order in the step
+    unit = units_of(target, result.truth[0]).units
+    assert result.steps[0] == pytest.approx(min(1.0, 1e-3 / np.abs(step / unit).max()), rel=1e-6)
+    moved = (result.near_truth - result.truth)[0, :k]
+    exact = result.steps[0] * step / unit
+    np.testing.assert_allclose(moved / unit, exact, atol=2e-6, rtol=1e-3)
+    np.testing.assert_array_equal(result.near_truth[0, k:], median[k:])
+    np.testing.assert_array_equal(*result.near_truth)
+
+
+def test_a_check_that_is_not_made_has_a_reason(target):
+    rest = SimpleNamespace()
+    replicate = Replicate(AXIS.vector(VALUES), np.ones((9, 5)), np.ones(9), laid_out(9))
+    for state, reason in (
+        ({"reason": "few"}, "few"),
+        ({"rest": rest}, "rest"),
+        ({"status": "unusable"}, "sampling"),
+        ({"reason": "still"}, "still"),
+        ({"reason": "still", "rest": rest}, "rest"),
+    ):
+        _, result = checked(target, [replicate], **state)
+        assert (result.reason, result.unexplained.size) == (reason, 0)
+        assert result.truth.shape == (0, len(target.names))
+    other = copy(target)
+    other.likelihood = SimpleNamespace(chain=AXIS)
+    assert checked(other, [replicate])[1].reason == "likelihood"
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +140,6 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_threads(exact):
         again = model().fit(seed=1)
     finally:
         set_num_threads(before)
-    told = [
-        json.dumps(
-            one.summary.self_check.model_copy(update={"seconds": 0, "cpu_seconds": 0}).as_dict()
-        )
-        for one in (exact, again)
-    ]
-    assert told[0] == told[1]
+    timeless = {"seconds": 0, "cpu_seconds": 0}
+    records = [fit.summary.self_check.model_copy(update=timeless) for fit in (exact, again)]
+    assert json.dumps(records[0].as_dict()) == json.dumps(records[1].as_dict())

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.regression import regression_of
 from bayesfric.fit.model import Model
 from tests.axis import recording_of
 from tests.diagnostics.bench import QUICK, axis, model, recording, table
-from tests.estimates.test_delay import PENDULUM, SERVO, servo
+from tests.estimates.test_processing import PENDULUM, SERVO, servo
 
 # whose target is said to act at once
 PROMPT = replace(SERVO, delay=False)
@@ -21,10 +20,19 @@ def right():
     return model()
 
 
-def of_table(change, **more):
-    made = table().copy()
-    change(made)
-    return Model(axis(**more), recording(made))
+def sagging(columns):
+    torque = columns["torque"]
+    return torque * (1.0 + 0.1 * np.abs(torque) / np.abs(torque).max())
+
+
+def late(columns):
+    return np.interp(columns["time"] - 0.003, columns["time"], columns["torque"])
+
+
+def with_torque(change, **options):
+    columns = table().copy()
+    columns["torque"] = change(columns)
+    return Model(axis(**options), recording(columns))
 
 
 def test_a_right_model_lacks_nothing(right):
@@ -32,41 +40,28 @@ def test_a_right_model_lacks_nothing(right):
     assert explained.reason is None
     assert len(explained.replicates) >= 20
     assert not explained.findings
+    # nor does one with the delay that a late torque needs
+    assert not with_torque(late, delay=True).explain().findings
 
 
-def test_a_torque_constant_that_sags_is_named_and_moves_what_it_moves():
-    def sags(made):
-        torque = made["torque"]
-        made["torque"] = torque * (1.0 + 0.1 * np.abs(torque) / np.abs(torque).max())
-
-    (first, *others) = of_table(sags).explain().findings
-    assert first.kind == "saturation"
-    assert first.severity == "doubt"
-    assert not others
-    # a torque that is told too large makes everything too large
-    assert first.moves["motor.inertia"] != 0.0
-    assert all(abs(x) > 1.0 for x in first.moves.values())
-
-
-def test_a_late_torque_is_a_delay_with_its_key():
-    def late(made):
-        made["torque"] = np.interp(made["time"] - 0.003, made["time"], made["torque"])
-
-    (first, *others) = of_table(late).explain().findings
-    assert first.kind == "delay"
-    assert first.setting == "mechanism.delay = true"
-    assert not others
-    # and a joint that has it lacks nothing
-    assert not of_table(late, delay=True).explain().findings
+@pytest.mark.parametrize(
+    ("change", "kind", "setting"),
+    [(sagging, "saturation", ""), (late, "delay", "mechanism.delay = true")],
+)
+def test_a_missing_effect_is_named_and_nothing_else(change, kind, setting):
+    (finding,) = with_torque(change).explain().findings
+    assert (finding.kind, finding.setting) == (kind, setting)
+    if change is sagging:  # too large a torque makes everything too large
+        assert finding.severity == "doubt"
+        assert finding.moves["motor.inertia"] != 0.0
+        assert all(abs(x) > 1.0 for x in finding.moves.values())
 
 
 @pytest.mark.parametrize("samples", [0.5, 2.0])
 def test_a_late_target_is_named_and_put_in(samples):
-    taken = Model(PROMPT, servo(100.0, 40.0, samples)).completed()
-    model, (first, *others), left = taken
-    assert (first.kind, first.setting) == ("target_delay", "mechanism.delay = true")
-    assert not others
-    assert not left.findings
+    model, (finding,), remaining = Model(PROMPT, servo(100.0, 40.0, samples)).completed()
+    assert (finding.kind, finding.setting) == ("target_delay", "mechanism.delay = true")
+    assert not remaining.findings
     value = model.estimates(["input-error"])[0]["target.delay"]
     assert abs(value.value - samples / 100.0) < 4.0 * value.larger_sd
 
@@ -88,44 +83,32 @@ def test_how_late_a_target_acts_is_unknown_by_default():
     assert right or row.reported.status != "identified"
 
 
-def test_the_same_seed_gives_the_same_answer(right):
-    values = right.chain.vector(dict(right.estimates(["input-error"])[0].point))
-    processing = right.config.tables.processing
-    seen = right.chain, right.recordings, right.observations, processing, values
-
-    def best(seed):
-        (effect,) = regression_of(*seen, seed=seed, number=12)[0].effects(1)
-        return effect.kind, effect.shape, effect.z
-
-    assert best(5) == best(5) != best(6)
-
-
 def test_a_joint_without_inertia_lacks_it():
     motor = bf.Element("motor", coulomb="symmetric", viscous=True, ratio=50.0)
     bare = Model(bf.Joint([motor], bf.Load(first_moment=True)), recording())
     assert bare.explain().findings[0].kind == "inertia"
 
 
-def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
+def test_of_a_long_recording_a_subsample_is_tested(monkeypatch):
     """What it lacks has the same name, and intervals have room for as much as by the whole."""
-    made = table(40.0).copy()
-    made["torque"] *= 1.0 + 0.05 * made["torque"].abs() / made["torque"].abs().max()
-    whole = Model(axis(), recording(made), sampling=QUICK)
-    before = whole.fit(seed=1)
-    monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", len(made) - 1)
-    after = whole.fit(seed=1)
+    columns = table(40.0).copy()
+    columns["torque"] *= 1.0 + 0.05 * columns["torque"].abs() / columns["torque"].abs().max()
+    model = Model(axis(), recording(columns), sampling=QUICK)
+    before = model.fit(seed=1)
+    monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", len(columns) - 1)
+    after = model.fit(seed=1)
     assert after.summary.regression.share == pytest.approx(0.5, abs=0.01)
-    assert [one.kind for one in after.summary.findings] == ["saturation"]
-    one, other = (run.fit.discrepancy for run in (before, after))
+    assert [f.kind for f in after.summary.findings] == ["saturation"]
+    full, subsampled = (run.fit.discrepancy for run in (before, after))
     # half of the samples show what is missing nearly as all do, and what it moves on their motion;
     # the mean over 40 reweightings, which friction's is, is uncertain by 1/sqrt(40) of its sd
-    sds = np.sqrt(np.diag(one.covariance) + one.deviations.var(axis=0))
-    close = np.where(before.fit.target.friction, 4.0 * np.sqrt(2.0 / 40.0), 0.3)
-    apart = np.abs(other.mean - one.mean) / sds
-    assert (apart < close + 0.3 * np.abs(one.mean / sds)).all()
+    sds = np.sqrt(np.diag(full.covariance) + full.deviations.var(axis=0))
+    tolerance = np.where(before.fit.target.friction, 4.0 * np.sqrt(2.0 / 40.0), 0.3)
+    apart = np.abs(subsampled.mean - full.mean) / sds
+    assert (apart < tolerance + 0.3 * np.abs(full.mean / sds)).all()
 
 
-def test_recordings_too_short_for_the_filters_are_not_asked(right, monkeypatch):
+def test_recordings_too_short_for_the_filters_are_not_tested(right, monkeypatch):
     """As of thousands of short recordings, of which each has its share."""
     assert Model(axis(), recording(table()[:400])).explain().reason == "few"
     monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", 200)
@@ -133,34 +116,39 @@ def test_recordings_too_short_for_the_filters_are_not_asked(right, monkeypatch):
 
 
 @pytest.mark.parametrize("times", [1.0, 1.3])
-def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
-    """SIMULATED. What passes it on with losses below zero is a factor of all torque."""
-    full = bf.Joint.preset("servo-pendulum")
+def test_a_known_mass_determines_a_factor_of_the_torque(times):
+    """SIMULATED. Losses below zero stand for a factor of all torque."""
+    joint = replace(bf.Joint.preset("servo-pendulum"), gain=False)
     recordings = []
     for seed, kg in enumerate((0.0, 0.3)):
-        more = {"added_mass": kg, "radius": 0.1} if kg else {}
-        made = bf.simulate(
-            replace(full, gain=False), {}, rate=250, duration=8.0, excitation="multisine",
-            torque_noise=0.01, amplitude=1.0, seed=seed + 1, **more,
+        options = {"added_mass": kg, "radius": 0.1} if kg else {}
+        columns = bf.simulate(
+            joint, {}, rate=250, duration=8.0, excitation="multisine",
+            torque_noise=0.01, amplitude=1.0, seed=seed + 1, **options,
         )  # fmt: skip
-        made["torque"] *= times
-        recordings.append(recording_of(made, name=f"{seed}", **more))
-    explained = Model(replace(full, gain=False), recordings).explain().findings
-    assert [one.kind for one in explained[:1]] == ["torque_constant"] * (times != 1.0)
+        columns["torque"] *= times
+        recordings.append(recording_of(columns, name=f"{seed}", **options))
+    explained = Model(joint, recordings).explain().findings
+    assert [f.kind for f in explained[:1]] == ["torque_constant"] * (times != 1.0)
 
 
 @pytest.mark.parametrize("coupled", [False, True])
-def test_another_joints_acceleration_is_named_where_it_takes_torque(coupled):
+def test_another_joints_acceleration_is_named_where_it_needs_torque(coupled):
     """SIMULATED: a second joint swings beside; its column is tested, and another is not found."""
-    made = table().copy()
-    time = made["time"].to_numpy()
+    columns = table().copy()
+    time = columns["time"].to_numpy()
     for name, hertz in (("q2", (0.31, 0.53, 0.83, 1.09, 1.37)), ("q3", (0.23, 0.61, 0.97, 1.51))):
-        made[name] = sum(np.sin(2.0 * np.pi * f * time + 9.0 * f) / f**2 for f in hertz)
-    pull = np.gradient(np.gradient(made["q2"], time), time)
-    size = 0.1 * made["torque"].std() / pull.std()
-    made["torque"] += coupled * size * pull
+        columns[name] = sum(np.sin(2.0 * np.pi * f * time + 9.0 * f) / f**2 for f in hertz)
+    pull = np.gradient(np.gradient(columns["q2"], time), time)
+    size = 0.1 * columns["torque"].std() / pull.std()
+    columns["torque"] += coupled * size * pull
     source = bf.Recording.from_dataframe(
-        made, time="time", position="position", torque="torque", side="motor", others=("q2", "q3")
+        columns,
+        time="time",
+        position="position",
+        torque="torque",
+        side="motor",
+        others=("q2", "q3"),
     )
     explained = Model(axis(), source).explain()
     assert "another_signal" in explained.kinds

@@ -12,8 +12,9 @@ from bayesfric.base.templates import placed
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
 from bayesfric.diagnostics.explanation import Explanation, finding_of, setting_of, too_few_outputs
 from bayesfric.diagnostics.motion import MotionSignals, scales_of
-from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
-from bayesfric.diagnostics.regression import Effect
+from bayesfric.diagnostics.regression import Finding
+from bayesfric.diagnostics.statistics import LEAST_OUTPUTS
+from bayesfric.estimates.point_estimate import HALF as MOVES
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs, Signal
@@ -21,27 +22,22 @@ from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import axis
 
-EFFECT = Effect(
-    "quadratic", "0.5", columns=[0], significant=True, z=6.0, p=0.04, largest=7.0, limit=4.0,
-    share=0.1, recording="in one", span=(1.0, 2.0),
-    coefficients=np.array([1.0]), collinear=("power",),
+EFFECT = Finding(
+    "quadratic", "note", shape="0.5", statistic=6.0, p=0.04, share=0.1,
+    recording="in one", span=(1.0, 2.0), coefficients=np.array([1.0]), rivals=("power",),
     moves={"a": 0.5, "b": -MOVES - 0.01, "c": MOVES + 5.0, "d": MOVES - 0.01},
 )  # fmt: skip
 
 
-def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
+def test_a_finding_has_its_effects_numbers_and_doubts_what_it_moves_far():
     result = finding_of(axis(), EFFECT)
-    assert (result.kind, result.shape, result.statistic, result.p) == (
-        "quadratic",
-        "0.5",
-        6.0,
-        0.04,
-    )
-    assert (result.share, result.rivals, result.recording) == (0.1, ("power",), "in one")
-    assert result.span == (1.0, 2.0)
+    assert (result.kind, result.hint) == ("quadratic", "mechanism.elements.motor.quadratic = true")
     assert (result.severity, result.parameters) == ("doubt", ("c", "b"))  # the most first
     assert result.physical
-    assert result.hint == result.setting == "mechanism.elements.motor.quadratic = true"
+    assert set(result.as_dict()) == {
+        "kind", "severity", "statistic", "p", "shape", "recording", "span", "share", "rivals",
+        "moves", "physical", "parameters", "hint",
+    }  # fmt: skip
     near = finding_of(axis(), replace(EFFECT, moves={"a": 0.5, "d": -MOVES + 0.01}))
     assert (near.severity, near.moves) == ("note", {})
     # what is no candidate of the table has no setting
@@ -62,21 +58,19 @@ def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
         ("drift", [-1.0], ("spring",), "drift", ""),  # which may have any sign
     ],
 )
-def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, named, hint):
-    result = finding_of(
-        axis(), replace(EFFECT, kind=kind, coefficients=np.array(sizes), collinear=alike)
-    )
+def test_an_effect_of_an_impossible_sign_is_named_after_a_rival(kind, sizes, alike, named, hint):
+    effect = replace(EFFECT, kind=kind, coefficients=np.array(sizes), rivals=alike)
+    result = finding_of(axis(), effect)
+    where = "mechanism." if hint.startswith("load.") else "mechanism.elements."
     assert result.kind == named
-    assert result.hint == (
-        f"mechanism.{'' if hint.startswith('load.') else 'elements.'}{hint}" if hint else ""
-    )
+    assert result.hint == (hint and where + hint)
     assert result.physical == (bool(hint) or kind == "drift")
     assert result.shape == ("0.5" if named == kind else "")
     assert result.rivals == ((kind, *(x for x in alike if x != named)) if named != kind else alike)
 
 
 @pytest.mark.parametrize("kind", ["smoothed", "current_column", "torque_constant_by_angle"])
-def test_a_fault_of_the_recording_is_a_doubt_whatever_it_moves_and_however_wide_intervals_are(kind):
+def test_a_fault_of_the_recording_is_always_a_doubt(kind):
     fault, term = (
         finding_of(axis(), replace(EFFECT, kind=k, moves={})) for k in (kind, "quadratic")
     )
@@ -155,9 +149,9 @@ SETTINGS = [
 @pytest.mark.parametrize(("name", "chain"), SETTINGS)
 def test_the_line_that_a_finding_gives_adds_its_candidates_columns(name, chain):
     """Each is a sum of what moves the torque of the new configuration's joint."""
-    taken = ParallelFilter.every_sample(TIME.size)
-    told = {"lowpass": 0.0, "order": 2, "reach": 8, "band": 12.0}
-    o = made_observation("one", TIME, MOTION, TIME, taken, 0.002, WARM, settings=told)
+    windows = ParallelFilter.every_sample(TIME.size)
+    settings = {"lowpass": 0.0, "order": 2, "reach": 8, "band": 12.0}
+    o = made_observation("one", TIME, MOTION, TIME, windows, 0.002, WARM, settings=settings)
     values = np.array([VALUES.get(p.quantity, 0.0) for p in chain.parameters])
     scales = scales_of(chain, values, [o])
     along = MotionSignals(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
@@ -194,6 +188,8 @@ LOSING = replace(FIRST, choices={"load_loss": "one"})
 ARM = bf.Element("arm")
 BARE = bf.Joint([FIRST, ARM], bf.Load(inertia=True))
 INERT_ARM = bf.Element("arm", inertia=True)
+LOSING_FIRST = {"elements": [LOSING, ARM]}
+LOSING_INERT = {"load": bf.Load(), "elements": [LOSING, INERT_ARM]}
 
 
 @pytest.mark.parametrize(
@@ -204,25 +200,17 @@ INERT_ARM = bf.Element("arm", inertia=True)
         ("coulomb", {"elements": [FIRST, replace(FIRST, name="arm", ratio=1.0)]}, ""),
         # a load-dependent loss is the last element's, or that of one that has it already
         ("load_loss", {}, 'elements.arm.load_loss = "one"'),
-        ("load_loss_by_power", {"elements": [LOSING, ARM]}, 'elements.motor.load_loss = "two"'),
-        ("load_loss", {"elements": [LOSING, ARM]}, ""),
+        ("load_loss_by_power", LOSING_FIRST, 'elements.motor.load_loss = "two"'),
+        ("load_loss", LOSING_FIRST, ""),
         # what shapes such a loss needs one first
         ("load_square", {}, 'elements.arm.load_loss = "one"'),
-        ("load_square", {"elements": [LOSING, ARM]}, "elements.motor.load_square = true"),
-        ("load_speed", {"elements": [LOSING, ARM]}, "elements.motor.load_speed = true"),
-        (
-            "load_loss_by_direction",
-            {"elements": [LOSING, ARM]},
-            "elements.motor.load_direction = true",
-        ),
+        ("load_square", LOSING_FIRST, "elements.motor.load_square = true"),
+        ("load_speed", LOSING_FIRST, "elements.motor.load_speed = true"),
+        ("load_loss_by_direction", LOSING_FIRST, "elements.motor.load_direction = true"),
         # it needs a load, or inertia, behind it
         ("load_loss", {"load": bf.Load()}, ""),
         ("load_loss", {"load": bf.Load(), "elements": [FIRST, INERT_ARM]}, ""),
-        (
-            "load_square",
-            {"load": bf.Load(), "elements": [LOSING, INERT_ARM]},
-            "elements.motor.load_square = true",
-        ),
+        ("load_square", LOSING_INERT, "elements.motor.load_square = true"),
         # of the joint and its load
         ("offset", {}, "offset = true"),
         ("offset", {"offset": True}, ""),
@@ -247,11 +235,9 @@ def test_waves_belong_to_the_shaft_that_turns_so_often(turns, side):
     assert line == f"mechanism.elements.{name}.cogging = [{turns}]"
 
 
-def test_recordings_are_asked_of_enough_outputs():
+@pytest.mark.parametrize(("outputs", "reason"), [(2, "few"), (3, None)])
+def test_recordings_need_enough_outputs(outputs, reason):
     chain = SimpleNamespace(names=("a", "b", "c"))
-
-    def sized(*outputs):
-        return too_few_outputs(chain, [SimpleNamespace(measured=np.zeros(n)) for n in outputs])
-
-    assert sized(10, LEAST_OUTPUTS - 8) == "few"
-    assert sized(10, LEAST_OUTPUTS - 7) is None
+    sizes = LEAST_OUTPUTS, outputs
+    observations = [SimpleNamespace(measured=np.zeros(n)) for n in sizes]
+    assert too_few_outputs(chain, observations) == reason

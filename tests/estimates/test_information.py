@@ -47,12 +47,12 @@ def test_the_long_run_variance_is_the_weighted_sum_of_all_pairs(rho):
     assert long_run_variance(0.0 * score, places) == 0.0
 
 
-def problem(known=0, twins=False):
+def problem(known=0, collinear=False):
     """Random Jacobian in very different units, correlated residuals, and what is known."""
     rng = np.random.default_rng(2)
     units = np.array([1.0, 1e-4, 1e3, 0.2])
     jacobian = rng.standard_normal((90, 4)) / units
-    if twins:
+    if collinear:
         jacobian[:, 3] = 2.0 * jacobian[:, 2]
     residual = np.convolve(rng.standard_normal(92), [1.0, 1.0, 1.0], "valid")
     rows = np.eye(4)[:known] / np.array([0.5, 1e-4, 1.0, 1.0])[:known, None]
@@ -64,23 +64,25 @@ def problem(known=0, twins=False):
 def test_sds_are_the_sandwich_s(known, lost):
     jacobian, residual, units, rows = problem(known)
     places = np.arange(90) + 30 * (np.arange(90) > 50)
-    found = Information(jacobian, residual, units, places=places, known=rows, lost=lost)
+    information = Information(jacobian, residual, units, places=places, known=rows, lost=lost)
     freedom = 90 - 4 - lost
     variance = residual @ residual / freedom
-    assert found.freedom == freedom
-    assert found.sigma == pytest.approx(np.sqrt(variance))
+    assert information.freedom == freedom
+    assert information.sigma == pytest.approx(np.sqrt(variance))
     whole = jacobian.T @ jacobian + variance * rows.T @ rows
     for gradient in (*np.eye(4), np.array([1.0, -2e4, 1e-3, 3.0])):
         weight = np.linalg.solve(whole, gradient)
-        effect, told = jacobian @ weight, variance**2 * np.sum((rows @ weight) ** 2)
-        plain, robust = found.sds(gradient)
+        effect, by_known = jacobian @ weight, variance**2 * np.sum((rows @ weight) ** 2)
+        plain, robust = information.sds(gradient)
         assert plain == pytest.approx(np.sqrt(variance * gradient @ weight), rel=1e-6)
         meat = 90.0 / freedom * written_out(effect * residual, places)
-        assert robust == pytest.approx(np.sqrt(meat + told), rel=1e-5)
-        assert found.directions.sd(gradient) == pytest.approx(plain / np.sqrt(variance), rel=1e-6)
+        assert robust == pytest.approx(np.sqrt(meat + by_known), rel=1e-5)
+        assert information.directions.sd(gradient) == pytest.approx(
+            plain / np.sqrt(variance), rel=1e-6
+        )
 
 
-def test_no_residual_is_told_better_than_it_is_read():
+def test_residuals_have_at_least_the_sd_of_the_encoder():
     jacobian, residual, units, _ = problem()
     coarse = Information(jacobian, residual, units, least=10.0)
     fine = Information(jacobian, residual, units, least=1e-3)
@@ -89,27 +91,27 @@ def test_no_residual_is_told_better_than_it_is_read():
     assert Information(jacobian[:3], residual[:3], units).freedom == 1
 
 
-@pytest.mark.parametrize("twins", [False, True])
-def test_groups_are_weighed_by_what_they_leave_to_others(twins):
+@pytest.mark.parametrize("collinear", [False, True])
+def test_groups_are_weighed_by_what_they_leave_to_others(collinear):
     """Bell and McCaffrey: ``(1 - H)^(-1/2)`` of a group's own residuals, where one leaves any."""
-    jacobian, residual, units, _ = problem(twins=twins)
+    jacobian, residual, units, _ = problem(collinear=collinear)
     group = np.random.default_rng(3).permutation(np.repeat(np.arange(15), 6))
-    found = Information(jacobian, residual, units, groups=group + 4)
-    seen = jacobian[:, :3] if twins else jacobian
+    information = Information(jacobian, residual, units, groups=group + 4)
+    seen = jacobian[:, :3] if collinear else jacobian
     inverse = np.linalg.inv(seen.T @ seen)
     meat = np.zeros((seen.shape[1], seen.shape[1]))
     for k in range(15):
-        own = seen[group == k]
-        values, vectors = np.linalg.eigh(np.eye(6) - own @ inverse @ own.T)
+        rows = seen[group == k]
+        values, vectors = np.linalg.eigh(np.eye(6) - rows @ inverse @ rows.T)
         root = vectors / np.sqrt(values) @ vectors.T
-        score = own.T @ root @ residual[group == k]
+        score = rows.T @ root @ residual[group == k]
         meat += np.outer(score, score)
     covariance = inverse @ meat @ inverse
-    for j, row in enumerate(np.eye(4)[: 2 if twins else 4]):
-        assert found.sds(row)[1] == pytest.approx(np.sqrt(covariance[j, j]), rel=1e-6)
-    if twins:
-        assert found.sds(np.eye(4)[3]) == (np.inf, np.inf)
-        assert found.sds(np.array([0.0, 0.0, 1.0, 2.0]))[1] == pytest.approx(
+    for j, row in enumerate(np.eye(4)[: 2 if collinear else 4]):
+        assert information.sds(row)[1] == pytest.approx(np.sqrt(covariance[j, j]), rel=1e-6)
+    if collinear:
+        assert information.sds(np.eye(4)[3]) == (np.inf, np.inf)
+        assert information.sds(np.array([0.0, 0.0, 1.0, 2.0]))[1] == pytest.approx(
             np.sqrt(covariance[2, 2]), rel=1e-6
         )
 
@@ -168,19 +170,15 @@ def regressors(n, seed=0):
     )
 
 
-def fit(x, y):
-    solution = np.linalg.lstsq(x, y, rcond=None)[0]
-    return solution, y - x @ solution
-
-
 def test_robust_sds_are_those_of_autoregressive_errors():
     n, rho, repeats = 600, 0.7, 300
     x = regressors(n)
     rng = np.random.default_rng(11)
     estimated, claimed, plain = (np.empty((repeats, 3)) for _ in range(3))
     for i in range(repeats):
-        solution, residual = fit(x, autoregression(rng, n, rho))
-        information = Information(x, residual, np.ones(3))
+        y = autoregression(rng, n, rho)
+        solution = np.linalg.lstsq(x, y, rcond=None)[0]
+        information = Information(x, y - x @ solution, np.ones(3))
         sds = np.array([information.sds(row) for row in np.eye(3)])
         estimated[i], plain[i], claimed[i] = solution, sds[:, 0], sds[:, 1]
     spread = estimated.std(axis=0, ddof=1)
@@ -198,9 +196,7 @@ def test_robust_sds_are_those_of_autoregressive_errors():
 
 
 def test_too_few_groups_fall_back_on_neighbours():
-    rng = np.random.default_rng(7)
-    x = regressors(300)
-    _, residual = fit(x, rng.standard_normal(300))
+    x, residual = regressors(300), np.random.default_rng(7).standard_normal(300)
     few = Information(x, residual, np.ones(3), groups=np.repeat(np.arange(3), 100))
     none = Information(x, residual, np.ones(3))
     assert few.sds(np.eye(3)[1]) == none.sds(np.eye(3)[1])
@@ -209,30 +205,20 @@ def test_too_few_groups_fall_back_on_neighbours():
 def test_null_directions_have_no_sd_and_what_is_across_them_has():
     rng = np.random.default_rng(8)
     x = rng.standard_normal((300, 2))
-    # only b + 2 c shows
+    # only b + 2 c has an effect
     jacobian = np.stack([x[:, 0], x[:, 1], 2 * x[:, 1]], axis=1)
     residual = rng.standard_normal(300)
     information = Information(jacobian, residual, np.ones(3))
     assert information.directions.null.tolist() == [False, False, True]
     assert information.freedom == 298
-    assert information.sds(np.array([0.0, 1.0, 0.0])) == (np.inf, np.inf)
-    assert information.sds(np.array([0.0, 0.0, 1.0])) == (np.inf, np.inf)
     direct = Information(x, residual, np.ones(2))
-    assert information.sds(np.array([0.0, 1.0, 2.0])) == pytest.approx(
-        direct.sds(np.array([0.0, 1.0])), rel=1e-9
-    )
-    assert information.sds(np.array([1.0, 0.0, 0.0])) == pytest.approx(
-        direct.sds(np.array([1.0, 0.0])), rel=1e-9
-    )
-
-
-def test_told_values_close_null_directions():
-    rng = np.random.default_rng(11)
-    x = rng.standard_normal(300)
-    residual = 0.1 * rng.standard_normal(300)
-    jacobian = np.stack([x, x], axis=1)
-    information = Information(jacobian, residual, np.ones(2), known=np.array([[0.0, 1 / 0.2]]))
-    sd = information.sds(np.array([0.0, 1.0]))[0]
-    assert sd == pytest.approx(0.2, rel=1e-9)
-    sum_sd = information.sigma / np.linalg.norm(x)
-    assert information.sds(np.array([1.0, 0.0]))[0] == pytest.approx(np.hypot(0.2, sum_sd))
+    for gradient, same in (((0.0, 1.0, 2.0), (0.0, 1.0)), ((1.0, 0.0, 0.0), (1.0, 0.0))):
+        expected = direct.sds(np.array(same))
+        assert information.sds(np.array(gradient)) == pytest.approx(expected, rel=1e-9)
+    for row in np.eye(3)[1:]:
+        assert information.sds(row) == (np.inf, np.inf)
+    # a known value of c closes it, and b is the sum less twice that
+    known = Information(jacobian, residual, np.ones(3), known=np.array([[0.0, 0.0, 1 / 0.2]]))
+    assert known.sds(np.eye(3)[2])[0] == pytest.approx(0.2, rel=1e-9)
+    of_sum = information.sds(np.array([0.0, 1.0, 2.0]))[0]
+    assert known.sds(np.eye(3)[1])[0] == pytest.approx(np.hypot(2 * 0.2, of_sum), rel=1e-3)

@@ -33,16 +33,10 @@ def few():
 def knee(make_observation):
     """The knee's motion with the leg driving part of the time."""
 
-    def make(values=KNEE.values, *, sigma=0.0, mass=0.0, **options):
-        return make_observation(
-            KNEE.chain(),
-            values,
-            sigma=sigma,
-            amplitude=2.0,
-            added_mass=mass,
-            radius=0.35 if mass else 0.0,
-            **{"n": 1000, "factor": 2} | options,
-        )
+    def make(values=KNEE.values, *, mass=0.0, **options):
+        options = {"sigma": 0.0, "n": 1000, "factor": 2, "amplitude": 2.0} | options
+        load = {"added_mass": mass, "radius": 0.35 if mass else 0.0}
+        return make_observation(KNEE.chain(), values, **options, **load)
 
     return make
 
@@ -95,39 +89,22 @@ def test_without_a_scale_the_motor_side_comes_back_and_the_leg_is_open(knee):
     assert scalings(chain)[0].middle(vector) == pytest.approx(1.0, rel=1e-9)
 
 
-def test_the_plain_axis_is_linear_least_squares(make_observation):
-    chain = MOTOR.chain()
-    o = make_observation(chain, MOTOR.values, sigma=0.02)
-    estimate = input_error(chain, [o], Knowledge(), FEW)
-    x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.q)], axis=1)
-    expected, squares = np.linalg.lstsq(x, o.measured, rcond=None)[:2]
-    covariance = np.linalg.inv(x.T @ x) * squares[0] / (o.measured.size - 4)
-    for i, name in enumerate(chain.names):
-        assert estimate[name].value == pytest.approx(expected[i], rel=1e-7)
-        assert estimate[name].sd == pytest.approx(np.sqrt(covariance[i, i]), rel=1e-5)
-
-
 @pytest.mark.parametrize("kind", ["normal", "range"])
 def test_a_prior_is_contradicted_by_so_many_sds_of_both(make_observation, kind):
-    """Linear least squares gives what the data say without it, and its sd."""
-    chain = MOTOR.chain()
+    """Of the value without the prior, and its sd."""
+    chain, name = MOTOR.chain(), "motor.viscous"
     o = make_observation(chain, MOTOR.values, sigma=0.02)
-    free = input_error(chain, [o], Knowledge(), FEW)["motor.viscous"]
+    free = input_error(chain, [o], Knowledge(), FEW)[name]
     for times in (2.5, 3.5):
-        if kind == "normal":
-            sd = 2.0 * free.larger_sd
-            mean = free.value - times * np.hypot(sd, free.larger_sd)
-            knowledge = Knowledge(priors={"motor.viscous": (mean, sd)})
-        else:
-            knowledge = Knowledge(
-                bounds={"motor.viscous": (0.0, free.value - times * free.larger_sd)}
-            )
+        sd = 2.0 * free.larger_sd if kind == "normal" else 0.0
+        nearest = free.value - times * np.hypot(sd, free.larger_sd)
+        knowledge = Knowledge(bounds={name: (0.0, nearest)})
+        if sd:
+            knowledge = Knowledge(priors={name: (nearest, sd)})
         start = dict(input_error(chain, [o], knowledge, FEW).point)
         far = contradicted(chain, [o], knowledge, FEW, start)
-        if times < 3.0:
-            assert far == {}
-        else:
-            assert far == {"motor.viscous": pytest.approx((free.value, times), rel=1e-3)}
+        expected = {name: pytest.approx((free.value, times), rel=1e-3)}
+        assert far == (expected if times > 3.0 else {})
     assert contradicted(chain, [o], Knowledge(), FEW, start) == {}
 
 
@@ -146,33 +123,26 @@ FORMLESS_VALUES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("chain", "values"), [(SERVO.chain(), SERVO.values), (FORMLESS, FORMLESS_VALUES)]
-)
-def test_other_chains_come_back(make_observation, chain, values):
-    o = make_observation(chain, values, sigma=0.0, n=800)
-    estimate = input_error(chain, [o], Knowledge(), FEW)
-    for name, value in estimate.point:
-        assert value == pytest.approx(values[name], rel=1e-6), name
-
-
 SLOW = Joint(elements=(replace(MOTOR.chain().elements[0], stribeck="either"),), offset=True)
 SLOW_VALUES = MOTOR.values | {"motor.stribeck_change": -0.3, "motor.stribeck_velocity": 0.012}
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_fall_at_low_speed_of_a_slow_axis_is_found(make_observation, seed):
-    """From one unit of speed a search goes to zero, where no rise or fall shows."""
-    o = make_observation(SLOW, SLOW_VALUES, sigma=0.0, amplitude=0.03, seed=seed)
-    assert np.abs(o.qd).max() < 0.3
-    estimate = input_error(SLOW, [o], Knowledge(), Estimation(seed=seed))
+BACK = {
+    "servo": (SERVO.chain(), SERVO.values, 1.0, 0),
+    "Stribeck rise": (FORMLESS, FORMLESS_VALUES, 1.0, 0),
+    # from one unit of speed a search goes to zero, where no rise or fall has an effect
+    **{f"fall at low speed {k}": (SLOW, SLOW_VALUES, 0.03, k) for k in range(3)},
+}
+
+
+@pytest.mark.parametrize("case", BACK)
+def test_other_chains_come_back(make_observation, case):
+    chain, values, amplitude, seed = BACK[case]
+    o = make_observation(chain, values, sigma=0.0, amplitude=amplitude, seed=seed)
+    estimate = input_error(chain, [o], Knowledge(), Estimation(seed=seed))
     for name, value in estimate.point:
-        assert value == pytest.approx(SLOW_VALUES[name], rel=1e-5), name
+        assert value == pytest.approx(values[name], rel=1e-5), name
         assert estimate[name].at_bound is None
-    reached, said = estimate.notes[0].split(" starts reached the minimum")
-    agreeing, searched = map(int, reached.split(" of "))
-    assert 1 <= agreeing <= searched
-    assert "shapes held" in said
 
 
 def test_a_shape_that_is_fixed_or_bounded_is_not_tried_elsewhere(make_observation):
@@ -180,7 +150,6 @@ def test_a_shape_that_is_fixed_or_bounded_is_not_tried_elsewhere(make_observatio
     name = "motor.stribeck_velocity"
     fixed = input_error(SLOW, [o], Knowledge(fixed={name: 0.02}), FEW)
     assert dict(fixed.point)[name] == 0.02
-    assert "shapes" not in fixed.notes[0]
     bounded = input_error(SLOW, [o], Knowledge(bounds={name: (0.02, 0.03)}), FEW)
     assert dict(bounded.point)[name] == pytest.approx(0.02)
 
@@ -204,18 +173,6 @@ def test_priors_set_the_scale_by_their_variances(knee):
         assert estimate[name].sd == pytest.approx(spread, rel=0.02), name
 
 
-def test_a_prior_of_the_motor_is_weighed_against_the_data(make_observation):
-    """Two independent measurements of one number average by their variances."""
-    chain = MOTOR.chain()
-    o = make_observation(chain, MOTOR.values, sigma=0.02)
-    alone = input_error(chain, [o], Knowledge(), FEW)["motor.inertia"]
-    mean, sd = alone.value + 2.0 * alone.sd, alone.sd
-    both = input_error(chain, [o], Knowledge(priors={"motor.inertia": (mean, sd)}), FEW)
-    assert both["motor.inertia"].value == pytest.approx((alone.value + mean) / 2, rel=1e-6)
-    # sigma is taken again from residuals that the prior has made a little larger
-    assert both["motor.inertia"].sd == pytest.approx(sd / np.sqrt(2), rel=5e-3)
-
-
 def test_what_the_fit_would_make_negative_stands_on_its_bound(knee):
     chain = KNEE.chain()
     o = knee(KNEE.values | {"joint.viscous": -0.5}, sigma=2e-3)
@@ -231,8 +188,7 @@ def test_a_bound_does_not_make_others_better_known(knee):
     """Cm and Cc trade off: while one stands on its bound the other is no better known."""
     chain = KNEE.chain()
     o = knee(sigma=2e-3)
-    knowledge = Knowledge(fixed=MOMENT)
-    inside = input_error(chain, [o], knowledge, FEW)
+    inside = input_error(chain, [o], Knowledge(fixed=MOMENT), FEW)
     top = inside["motor.coulomb_positive"].value - inside["motor.coulomb_positive"].sd
     bounds = {"motor.coulomb_positive": (0.0, top)}
     on = input_error(chain, [o], Knowledge(fixed=MOMENT, bounds=bounds), FEW)
@@ -262,37 +218,34 @@ def test_what_cannot_be_estimated_is_refused(make_observation):
         input_error(chain, [few], Knowledge(), FEW)
 
 
-def noisy_knee(make_observation, sigma=5e-3, **more):
-    options = {"n": 500, "factor": 2, "amplitude": 2.0} | more
-    return make_observation(KNEE.chain(), KNEE.values, sigma=sigma, **options)
+@pytest.fixture
+def noisy(make_observation):
+    """A noisy recording of a preset."""
+
+    def make(preset):
+        options = {"sigma": 5e-3, "n": 500, "factor": 2, "amplitude": 2.0}
+        if preset is SERVO:
+            options = {"sigma": 2e-3, "n": 400}
+        return make_observation(preset.chain(), preset.values, **options)
+
+    return make
 
 
-def servo(make_observation):
-    return make_observation(SERVO.chain(), SERVO.values, sigma=2e-3, n=400)
-
-
+ON_BOUNDS = {"joint.viscous": (3.3, 9.0), "motor.coulomb_positive": (0.0, 0.08)}
+PRIORS = {"motor.inertia": (3.5e-4, 1e-6), "load.first_moment": (0.4, 0.01)}
 CASES = {
-    "knee": (KNEE, noisy_knee, Knowledge(fixed=MOMENT)),
-    "knee, on bounds": (
-        KNEE, noisy_knee,
-        Knowledge(
-            fixed=MOMENT,
-            bounds={"joint.viscous": (3.3, 9.0), "motor.coulomb_positive": (0.0, 0.08)},
-        ),
-    ),
-    "knee, priors": (
-        KNEE, noisy_knee,
-        Knowledge(priors={"motor.inertia": (3.5e-4, 1e-6), "load.first_moment": (0.4, 0.01)}),
-    ),
-    "servo": (SERVO, servo, Knowledge()),
-}  # fmt: skip
+    "knee": (KNEE, Knowledge(fixed=MOMENT)),
+    "knee, on bounds": (KNEE, Knowledge(fixed=MOMENT, bounds=ON_BOUNDS)),
+    "knee, priors": (KNEE, Knowledge(priors=PRIORS)),
+    "servo": (SERVO, Knowledge()),
+}
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observation):
+def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, noisy):
     """Along what stands on a limit it goes up inwards."""
-    preset, recorded, knowledge = CASES[case]
-    chain, o = preset.chain(), recorded(make_observation)
+    preset, knowledge = CASES[case]
+    chain, o = preset.chain(), noisy(preset)
     rng = np.random.default_rng(2)
     weights = rng.uniform(0.5, 2.0, o.measured.size)
     problem = TorqueProblem(chain, [o], knowledge).weighted(weights, 4e-3)
@@ -312,10 +265,9 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
     minimum = problem.minimise(begin)
     assert 2.0 * minimum.cost == pytest.approx(np.sum(squares(minimum.x) ** 2), rel=1e-9)
     size = np.maximum(np.abs(minimum.x), 1e-3)
-    for width in (1e-1, 1e-3, 1e-5):
-        near = minimum.x + width * size * rng.standard_normal((60, size.size))
-        heights = [np.sum(squares(x) ** 2) for x in np.clip(near, problem.lower, problem.upper)]
-        assert min(heights) >= 2.0 * minimum.cost * (1.0 - 1e-9)
+    near = minimum.x + 1e-3 * size * rng.standard_normal((60, size.size))
+    heights = [np.sum(squares(x) ** 2) for x in np.clip(near, problem.lower, problem.upper)]
+    assert min(heights) >= 2.0 * minimum.cost * (1.0 - 1e-9)
     slope = -problem.jacobian(minimum.x).T @ problem.residual(minimum.x) * size
     below, above = minimum.x == problem.lower, minimum.x == problem.upper
     assert below.sum() + above.sum() == (2 if "bounds" in case else 0)
@@ -374,9 +326,9 @@ def stated(estimate, chain, o, knowledge):
 
 
 @pytest.mark.parametrize("case", ["knee", "knee, priors", "servo"])
-def test_every_number_has_the_sds_of_its_gradient(case, make_observation):
-    preset, recorded, knowledge = CASES[case]
-    chain, o = preset.chain(), recorded(make_observation)
+def test_every_number_has_the_sds_of_its_gradient(case, noisy):
+    preset, knowledge = CASES[case]
+    chain, o = preset.chain(), noisy(preset)
     estimate = input_error(chain, [o], knowledge, FEW)
     expected = stated(estimate, chain, o, knowledge)
     assert len(estimate.values) >= len(expected) - len(knowledge.fixed) - 3
@@ -389,8 +341,8 @@ def test_every_number_has_the_sds_of_its_gradient(case, make_observation):
         assert value.span is None
 
 
-def test_an_open_number_has_the_span_of_what_a_passive_gearbox_allows(make_observation):
-    chain, o = KNEE.chain(), noisy_knee(make_observation)
+def test_an_open_number_has_the_span_of_what_a_passive_gearbox_allows(noisy):
+    chain, o = KNEE.chain(), noisy(KNEE)
     estimate = input_error(chain, [o], Knowledge(), FEW)
     (scaling,) = scalings(chain)
     values = chain.vector(dict(estimate.point))

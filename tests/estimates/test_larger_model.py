@@ -1,8 +1,6 @@
 """When a larger model is the better one: by what it has not seen, and beside what there was."""
 
 import math
-from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,29 +90,3 @@ KNOWN = {"inertia": (0.1, 0.01), "coulomb": (0.3, 0.01), "offset": (0.05, 0.01)}
 )
 def test_a_term_has_to_be_known(new, worth):
     assert predicts_better(stated(0.5, **KNOWN, **new), stated(1.0, **KNOWN)) == worth
-
-
-# 3 s at 100 Hz, of which 0.1 s are cut off either end: delays up to 0.3 s are searched
-SHORT = SimpleNamespace(
-    settings={"sampling_rate": 100.0, "trim_samples": 10}, stamps=np.arange(301) / 100.0
-)
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "worth"),
-    [
-        (None, (0.02, 0.004), True),
-        (None, (0.02, 0.02), False),  # it may be none
-        (None, (-3.3, 1.2), False),  # beyond what is searched
-        ((0.02, 0.004), (0.02, 0.02), False),  # the larger model loses it
-        ((0.02, 0.02), (0.02, 0.02), True),  # nobody knew it before
-    ],
-)
-def test_a_delay_is_determined_and_stays_so(before, after, worth):
-    known = {"quadratic": (0.02, 0.001), "delay": after}
-    smaller = stated(1.0, **KNOWN, **({} if before is None else {"delay": before}))
-    larger = replace(stated(0.5, **KNOWN, **known), inputs=SimpleNamespace(observations=[SHORT]))
-    larger.__dict__["left_out_rms"] = 0.5
-    smaller = replace(smaller, inputs=larger.inputs)
-    smaller.__dict__["left_out_rms"] = 1.0
-    assert predicts_better(larger, smaller) == worth

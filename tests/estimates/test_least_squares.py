@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.assemble import units_of
 from bayesfric.estimates.least_squares import (
     TotalsProjection,
     least_squares,
@@ -22,14 +21,10 @@ from bayesfric.estimates.torque import (
     places,
     torque_form,
     torque_jacobian,
-    weighted_torque,
 )
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.filters import lay_windows, parallel_taps
-from bayesfric.recordings.measurement import Inputs
-from tests.conftest import made_observation
 
 KNEE, MOTOR = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 PARTS = (
@@ -48,27 +43,24 @@ def values_of(chain, seed=3):
     return dict(zip(chain.names, rng.uniform(0.1, 0.4, len(chain.names)), strict=True))
 
 
-def observed(chain, values, *, names=("one", "two"), factor=3, sigma=0.0, added_mass=0.0):
-    observations = []
-    for k, name in enumerate(names):
-        rng = np.random.default_rng(k)
-        n = 700
-        time, (q, qd, qdd) = np.arange(n) / 500.0, rng.standard_normal((3, n)) * [[1.0], [4], [40]]
-        inputs = Inputs(added_mass, 0.5 if added_mass else 0.0, name)
-        torque = inverse_torque(chain, chain.vector(values), q, qd, qdd, inputs=inputs, time=time)
-        torque = torque + sigma * rng.standard_normal(n)
-        windows = lay_windows(
-            parallel_taps(factor, None, 500.0), ((0, n),), factor, np.ones(n, dtype=bool)
-        )
-        observations.append(
-            made_observation(name, time, (q, qd, qdd), torque, windows, factor / 500.0, inputs)
-        )
-    return observations
+@pytest.fixture
+def observed(make_observation):
+    """Recordings of a joint, without noise unless requested."""
+
+    def make(chain, values, *, names=("one", "two"), added_mass=0.0, **options):
+        options = {"sigma": 0.0, "n": 700, "factor": 3, "amplitude": 2.0} | options
+        options |= {"added_mass": added_mass, "radius": 0.5 if added_mass else 0.0}
+        return [
+            make_observation(chain, values, name=name, seed=k, **options)
+            for k, name in enumerate(names)
+        ]
+
+    return make
 
 
 @pytest.mark.parametrize("case", CHAINS)
-def test_totals_are_those_of_every_owner_brought_through_the_ratios(case):
-    """And a circular angle turns gravity into a sine and a cosine part."""
+def test_closed_form_totals_where_alpha_is_one(case, observed):
+    """Of every owner through the ratios; an angle turns gravity into a sine and a cosine part."""
     chain = CHAINS[case]
     v = values_of(chain)
     totals = least_squares(chain, observed(chain, v))
@@ -105,7 +97,7 @@ def test_totals_are_those_of_every_owner_brought_through_the_ratios(case):
 
 @pytest.mark.parametrize("case", CHAINS)
 @pytest.mark.parametrize("share", [0.2, 0.7])
-def test_starts_make_the_totals_and_give_the_motor_its_share(case, share):
+def test_starts_make_the_totals_and_give_the_motor_its_share(case, share, observed):
     """Alone, each owner's torque is its part of every total: the others' are all alike."""
     chain = CHAINS[case]
     v = values_of(chain)
@@ -121,28 +113,24 @@ def test_starts_make_the_totals_and_give_the_motor_its_share(case, share):
         torque = [filtered_torque(chain, o, chain.vector(own)[None])[0] for o in observations]
         return dict(zip(projection.names, projection.solve(np.concatenate(torque)), strict=True))
 
-    parts = {owner: totals_of(owner) for owner in ("motor", "belt", "joint", "load", "offset")}
+    parts = {owner: totals_of(owner) for owner in ("motor", "belt", "joint", "load")}
     owners = {
         "inertia": ("motor", "belt", "load"),
         "viscous": ("motor", "belt", "joint"),
         "coulomb": ("motor", "belt", "joint"),
         "gravity": ("load",),
-        "gravity_cosine": ("load",),
         "quadratic": ("motor",),
         "joint.cogging_sin_3": ("joint",),
     }
     for kind, names in owners.items():
-        if kind not in projection.names:
-            continue
-        label = projection.labels[projection.names.index(kind)]
-        total = totals[label].value
-        shares = np.array([parts[name][kind] for name in names])
-        rest = (1.0 - share) / max(len(names) - 1, 1)
-        expected = [share, *([rest] * (len(names) - 1))] if len(names) > 1 else [1.0]
-        np.testing.assert_allclose(shares / total, expected, rtol=1e-9, err_msg=kind)
+        total = totals[projection.labels[projection.names.index(kind)]].value
+        rest = len(names) - 1
+        expected = [share, *([(1.0 - share) / rest] * rest)] if rest else [1.0]
+        shares = [parts[name][kind] / total for name in names]
+        np.testing.assert_allclose(shares, expected, rtol=1e-9, err_msg=kind)
 
 
-def test_a_total_that_goes_by_a_parameter_s_name_is_that_parameter():
+def test_a_total_that_goes_by_a_parameter_s_name_is_that_parameter(observed):
     """What a load loss or an unknown gain scales on the way to the motor is a total."""
     wave = "joint.cogging_sin_3"
     lossy = Joint((*PARTS[:1], replace(PARTS[1], load_loss="one"), PARTS[2]), Load(inertia=True))
@@ -161,7 +149,7 @@ def test_a_total_that_goes_by_a_parameter_s_name_is_that_parameter():
     assert totals[f"total.{wave}"].value == pytest.approx(v[wave] / 0.5, rel=1e-9)
 
 
-def test_a_known_mass_is_a_regressor_of_its_own_where_no_total_has_it():
+def test_a_known_mass_is_a_regressor_of_its_own_where_no_total_has_it(observed):
     """One over the gain; the loads' own parameters take it for more of them."""
     v = values_of(GAIN) | {"drive.gain": 0.5}
     observations = observed(GAIN, v, added_mass=1.5)
@@ -181,7 +169,7 @@ def test_a_known_mass_is_a_regressor_of_its_own_where_no_total_has_it():
     assert "added_load" in totals_regressors(RICH, light + heavy)[0]
 
 
-def test_the_map_to_totals_is_the_same_before_the_filter_and_by_other_names():
+def test_totals_are_linear_and_go_by_other_names(observed):
     v = values_of(RICH)
     observations = observed(RICH, v, sigma=0.1)
     projection = TotalsProjection(RICH, observations)
@@ -190,15 +178,6 @@ def test_the_map_to_totals_is_the_same_before_the_filter_and_by_other_names():
     np.testing.assert_allclose(
         totals, np.linalg.lstsq(projection.regressors, torque, rcond=None)[0], rtol=1e-9
     )
-    weights = projection.of_samples()
-    total = sum(w @ o.torque for w, o in zip(weights, observations, strict=True))
-    np.testing.assert_allclose(total, totals, rtol=1e-9)
-    vectors = RICH.vector(v) * np.array([[1.0], [1.1]])
-    weighed = sum(
-        weighted_torque(RICH, o, w, vectors) for w, o in zip(weights, observations, strict=True)
-    )
-    exact = least_squares(RICH, observed(RICH, v))
-    np.testing.assert_allclose(weighed[:, 0], [x.value for x in exact.values], rtol=1e-9)
     names = projection.aliases()
     assert names["total.quadratic"] == "motor.quadratic"
     assert names["belt.viscous_difference"] == "total.viscous_difference"
@@ -214,79 +193,48 @@ def test_the_map_to_totals_is_the_same_before_the_filter_and_by_other_names():
     )
 
 
-def test_sizes_are_what_is_seen_where_outputs_are():
-    v = values_of(RICH)
-    observations = observed(RICH, v, sigma=0.05)
+def test_sizes_are_those_where_outputs_are(observed):
+    observations = observed(RICH, values_of(RICH), sigma=0.05)
     # a glitch that no output is at does not count
     o = observations[0]
     q = o.q.copy()
-    off = np.setdiff1d(np.arange(q.size), o.filter.centres)[5]
-    q[off] = 1e6
-    observations[0] = replace(o, q=q, position_step=0.01)
-    observations[1] = replace(observations[1], position_step=0.002)
+    q[np.setdiff1d(np.arange(q.size), o.filter.centres)[5]] = 1e6
+    observations = [
+        replace(o, q=q, position_step=0.01),
+        replace(observations[1], position_step=2e-3),
+    ]
     scales = typical_sizes(RICH, observations)
-    at = [o.filter.centres for o in observations]
-
-    def joined(name):
-        return np.concatenate([getattr(o, name)[c] for o, c in zip(observations, at, strict=True)])
-
+    joined = [
+        np.concatenate([getattr(o, name)[o.filter.centres] for o in observations])
+        for name in ("q", "qd", "qdd")
+    ]
     torque = np.concatenate([o.measured for o in observations])
     assert scales.torque == pytest.approx(np.quantile(np.abs(torque), 0.999))
-    assert scales.speed == pytest.approx(np.sqrt(np.mean(joined("qd") ** 2)))
-    assert scales.acceleration == pytest.approx(np.sqrt(np.mean(joined("qdd") ** 2)))
-    assert scales.lean == 1.0  # from an unknown zero
-    assert scales.position == pytest.approx(
-        max(np.ptp(o.q[c]) for o, c in zip(observations, at, strict=True))
-    )
+    speed, acceleration = (np.sqrt(np.mean(x**2)) for x in joined[1:])
+    assert (scales.speed, scales.acceleration) == pytest.approx((speed, acceleration))
+    assert scales.position < 1e2
     assert scales.duration == pytest.approx(699 / 500.0)
-    assert scales.position_step == 0.002
-    cosine = np.sqrt(np.mean(np.cos(3.0 * 2.5 * joined("q")) ** 2))
+    assert scales.position_step == 2e-3
+    cosine = np.sqrt(np.mean(np.cos(3.0 * 2.5 * joined[0]) ** 2))
     assert scales.columns["joint.cogging_cos_3"] == pytest.approx(cosine)
-    forwards = np.sqrt(np.mean(np.maximum(10.0 * joined("qd"), 0.0) ** 2))
-    assert scales.columns["belt.viscous_positive"] == pytest.approx(forwards)
-    assert len(scales.columns) == 4
     # a term surely takes what its total and its column say, less two sds
-    totals = least_squares(RICH, observations)
-    _, regressors = totals_regressors(RICH, observations)
-    sizes = np.quantile(np.abs(regressors), 0.999, axis=0)
-    least = [
-        (abs(x.value) - 2.0 * max(x.sd, x.sd_robust)) * s
-        for x, s in zip(totals.values, sizes, strict=True)
-    ]
-    assert scales.exchanged == pytest.approx(max(least))
+    totals = least_squares(RICH, observations).values
+    sizes = np.quantile(np.abs(totals_regressors(RICH, observations)[1]), 0.999, axis=0)
+    least = [abs(x.value) - 2.0 * max(x.sd, x.sd_robust) for x in totals]
+    assert scales.exchanged == pytest.approx(np.max(least * sizes))
+    # the angle is measured from an unknown zero, or seen
     small = [replace(o, q=0.1 * o.q) for o in observed(PER_RUN, values_of(PER_RUN))]
     leans = [np.abs(np.sin(o.q[o.filter.centres])).max() for o in small]
-    assert typical_sizes(PER_RUN, small).lean == pytest.approx(max(leans))
-    steady = [replace(o, qd=np.ones_like(o.qd), qdd=0.0 * o.qd) for o in observations]
-    outputs = sum(o.measured.size * o.period for o in steady)
-    assert typical_sizes(RICH, steady).acceleration == pytest.approx(1.0 / outputs)
+    assert (scales.lean, typical_sizes(PER_RUN, small).lean) == pytest.approx((1.0, max(leans)))
     # speeds go with the ratio, torque against it
     for owner, before, behind in (("motor", 1.0, 10.0), ("joint", 4.0, 2.5), ("load", 10.0, 1.0)):
         sizes = sizes_at(RICH, owner, scales)
         assert sizes.torque == pytest.approx(scales.torque * before)
         assert sizes.speed == pytest.approx(scales.speed * behind)
         assert sizes.acceleration == pytest.approx(scales.acceleration * behind)
-        assert (sizes.gravity, sizes.lean, sizes.duration) == (9.80665, 1.0, scales.duration)
 
 
-def test_a_unit_of_a_parameter_is_itself_and_of_a_load_loss_one_over_alpha():
-    """Eq. (6): 1/alpha_1 is 1 + mu_1, and 1/alpha_2 is 1 - mu_2, whichever its sign."""
-    chain = KNEE.chain()
-    v = KNEE.values | {"joint.viscous": -3.0, "gearbox.load_back": 1.4}
-    units = dict(zip(chain.names, units_of(chain, chain.names, chain.vector(v)), strict=True))
-    assert units.pop("gearbox.load_drive") == pytest.approx(1.0 + v["gearbox.load_drive"])
-    assert units.pop("gearbox.load_back") == pytest.approx(0.4)
-    assert units == pytest.approx({name: abs(v[name]) for name in units})
-    servo = PRESETS["servo-pendulum"].chain()  # one mu of both power flows has no alpha
-    at = servo.vector(PRESETS["servo-pendulum"].values)
-    np.testing.assert_allclose(units_of(servo, servo.names, at), np.abs(at))
-    some = "motor.inertia", "gearbox.load_drive"
-    assert units_of(chain, some, chain.vector(v)) == pytest.approx(
-        [v["motor.inertia"], 1.0 + v["gearbox.load_drive"]]
-    )
-
-
-def test_places_are_even_in_time_and_apart_between_segments_and_recordings():
+def test_places_are_even_in_time_and_apart_between_segments_and_recordings(observed):
     n = 600
     windows = lay_windows(
         parallel_taps(4, None, 500.0), ((0, 300), (301, 600)), 4, np.arange(n) % 97 > 9
@@ -331,25 +279,6 @@ def test_where_no_column_is_the_load_s_alone_the_scale_leaves_all_losses_positiv
     assert all(restored[name] > 0.0 for name in own)
     for theta, again in zip(thetas, form.thetas(chain.vector(restored)), strict=True):
         np.testing.assert_allclose(again, theta, rtol=1e-12)
-
-
-def test_closed_form_totals_where_alpha_is_one(make_observation):
-    chain = KNEE.chain()
-    v = KNEE.values | {"gearbox.load_drive": 0.0, "gearbox.load_back": 0.0}
-    totals = least_squares(chain, [make_observation(chain, v, sigma=0.0, factor=4)])
-    n = chain.ratio
-    expected = {
-        "total.inertia": v["motor.inertia"] + v["load.inertia"] / n**2,
-        "total.viscous": v["motor.viscous"] + v["joint.viscous"] / n**2,
-        "total.coulomb": (v["motor.coulomb_positive"] + v["motor.coulomb_negative"]) / 2
-        + (v["joint.coulomb_positive"] + v["joint.coulomb_negative"]) / (2 * n),
-        "total.offset": (v["motor.coulomb_positive"] - v["motor.coulomb_negative"]) / 2
-        + (v["joint.coulomb_positive"] - v["joint.coulomb_negative"]) / (2 * n),
-        "total.gravity": 9.80665 * v["load.first_moment"] / n,
-    }
-    for name, value in expected.items():
-        assert totals[name].value == pytest.approx(value, rel=1e-9), name
-    assert totals.residual_rms < 1e-12
 
 
 def test_what_one_direction_of_motion_cannot_tell_is_left_open(make_observation):

@@ -8,6 +8,7 @@ import pytest
 from bayesfric.estimates.torque import VariableProjection, columns, filtered_torque, torque_form
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import PRESETS, Joint
+from tests.mechanism.joints import thetas
 
 KNEE = PRESETS["rabbit-knee"]
 
@@ -144,17 +145,8 @@ def test_other_chains_do_not_have_the_form(make_observation):
 
 def test_thetas_are_those_printed_below_eq_13():
     chain = KNEE.chain()
-    theta1, theta2 = torque_form(chain).thetas(chain.vector(KNEE.values))
-    v, n = KNEE.values, 50.0
-    l1 = (1 / 0.7432 + 1 / 1.408) / 2
-    l2 = (1 / 0.7432 - 1 / 1.408) / 2
-    c1, c2 = v["joint.coulomb_positive"], v["joint.coulomb_negative"]
-    m1, m2 = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
-    # gravity carries the g that the printed theta5 and theta10 lack
-    leg = [0.206 / n**2, 3.12 / n**2, (c1 + c2) / (2 * n), (c1 - c2) / (2 * n), 9.80665 * 0.42 / n]
-    motor = [3.56e-4, 4.0e-3, (m1 + m2) / 2, (m1 - m2) / 2, 0.0]
-    np.testing.assert_allclose(theta1, np.add(motor, np.multiply(l1, leg)), rtol=1e-12)
-    np.testing.assert_allclose(theta2, np.multiply(l2, leg), rtol=1e-12)
+    theta = torque_form(chain).thetas(chain.vector(KNEE.values))
+    np.testing.assert_allclose(theta, thetas(chain, KNEE.values), rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["load.first_moment", "joint.viscous", "gearbox.load_drive"])

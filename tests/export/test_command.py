@@ -58,7 +58,7 @@ def test_a_folder_is_written_and_said(bench):
 
 
 def test_python_returns_what_the_command_prints(bench):
-    printed = bench.told("export", "c-run", "--to", "urdf")
+    printed = bench.record("export", "c-run", "--to", "urdf")
     found = bf.export("c-run", "urdf")
     assert found.as_json() == printed
     assert (bench.folder / "c-run-urdf" / "joint.urdf").read_text() == found.main

@@ -139,8 +139,8 @@ def test_an_open_scale_changes_no_export():
 
 
 CASES = [
-    *(("motor", option, choice) for option, known in CHOICES.items() for choice in known),
-    *(("load", option, choice) for option, known in LOAD_CHOICES.items() for choice in known),
+    *(("motor", option, choice) for option, (known, _) in CHOICES.items() for choice in known),
+    *(("load", option, choice) for option, (known, _) in LOAD_CHOICES.items() for choice in known),
     ("motor", "cogging", (3,)),
     ("motor", "periodic_friction", (2,)),
 ]

@@ -186,13 +186,13 @@ def test_bam_is_the_nearest_to_the_law_along_the_motion(name, model):
     assert p.pop("model") == model
     assert p.pop("actuator") == "mx106"
     vector, joint, o = exported_vector(run), run.joint, run.model.observations[0]
-    q, v, a = (x[o.filter.centres] for x in (o.q, o.qd, o.qdd))
+    q, v, a = o.q[o.filter.centres], o.qd[o.filter.centres], o.acceleration
     value = numbers(exported)
     full = numbers(bf.export(run, "csv"))
     gain, offset = full["gain"], full.get("torque_offset", 0.0)
     motor = gain * inverse_torque(joint, vector, q, v, a, inputs=o.inputs) - offset
     moment, angle = full["link_moment"], full.get("link_gravity_angle", 0.0)
-    external = -9.80665 * moment * np.sin(q + angle)
+    external = -joint.load.gravity * moment * np.sin(q + angle) - full.get("stiffness", 0.0) * q
     free = (full["armature"] + full.get("link_inertia", 0.0)) * a - external
     loss = np.sign(v) * (motor - free)
 
@@ -227,6 +227,7 @@ def test_bam_loads_its_file_and_has_the_friction_that_was_written(name, tmp_path
 def test_newton_takes_friction_armature_and_damping(tmp_path):
     """The exported opinions over a joint of a stage; Newton's joint has numbers per radian."""
     newton = module("newton")
+    module("newton_usd_schemas")
     exported = bf.export(finished_posterior("plain"), "isaac")
     over = exported.files["joint.usda"].partition('over "joint"')[2].partition("{")[2]
     path = tmp_path / "stage.usda"

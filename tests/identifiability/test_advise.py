@@ -12,13 +12,15 @@ from bayesfric.base.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import (
+    HEAVIEST,
     candidates,
     fastest,
+    known_mass,
     limits_of,
     ranking,
+    simulate_recording,
     try_out,
 )
-from bayesfric.identifiability.simulated_recording import HEAVIEST, known_mass, simulate_recording
 from bayesfric.mechanism import experiment
 from bayesfric.mechanism.element import Load
 from bayesfric.mechanism.forward import simulate
@@ -35,11 +37,10 @@ N = 2000
 
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     """Simulate the knee and prepare it as any recording is."""
-    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=Inputs(added_mass, radius), substeps=4)
-    played = made_recording(
-        motion.time, motion.q, torque, PERIOD, name=name, inputs=Inputs(added_mass, radius, name)
-    )
-    return observe(played, Processing())
+    inputs = Inputs(added_mass, radius, name)
+    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=inputs, substeps=4)
+    raw = made_recording(motion.time, motion.q, torque, PERIOD, name=name, inputs=inputs)
+    return observe(raw, Processing())
 
 
 def lagged(amplitude=0.8, hertz=1.0):
@@ -66,16 +67,16 @@ def knee(square):
 def test_only_a_known_mass_lifts_the_scale(knee):
     """Leg and alpha scale together whatever torque is played (section 4.2 of the paper)."""
     assert knee.now.data_sd == np.inf
-    for row in knee.advices:
-        assert np.isfinite(row.after.data_sd) == (row.candidate.inputs.added_mass > 0.0)
+    for row in knee.candidates:
+        assert np.isfinite(row.after.data_sd) == (row.inputs.added_mass > 0.0)
         assert np.isfinite(row.after.sd)
         assert row.after.sd <= row.after.data_sd * (1.0 + 1e-9)
         # more data never widen a normal posterior
         assert row.after.sd <= knee.now.sd * (1.0 + 1e-9)
-    assert knee.advices[0].candidate.kind == "known mass"
+    assert knee.candidates[0].kind == "known mass"
     assert knee.determined
     assert knee.worth
-    sds = [row.after.sd for row in knee.advices]
+    sds = [row.after.sd for row in knee.candidates]
     assert sds == sorted(sds)
     assert set(knee.frame["kind"]) == {"excitation", "known mass", "longer"}
 
@@ -87,28 +88,28 @@ def test_a_derived_quantity_is_known_as_well_as_what_it_is_made_of(square):
     loss = ranked(name, square, options=options)
     passed = ranked("gearbox.alpha_drive", square, options=options)
     assert passed.value == pytest.approx(alpha, rel=1e-12)
-    for row, other in zip(loss.advices, passed.advices, strict=True):
+    for row, other in zip(loss.candidates, passed.candidates, strict=True):
         assert other.after.sd == pytest.approx(alpha**2 * row.after.sd, rel=1e-6)
     assert not loss.determined
-    assert {row.after.data_sd for row in loss.advices} == {np.inf}
+    assert {row.after.data_sd for row in loss.candidates} == {np.inf}
 
 
-def test_what_no_scaling_changes_needs_no_mass_and_a_twin_halves_its_variance(square):
+def test_a_recording_just_like_it_halves_the_variance_of_what_no_scaling_changes(square):
     advice = ranked("total_drive.inertia", square, options=AdviceOptions(masses=()))
     assert np.isfinite(advice.now.data_sd)
-    assert all(np.isfinite(row.after.data_sd) for row in advice.advices)
-    assert advice.advices[0].after.sd < advice.now.sd
-    (twin,) = [row for row in advice.advices if row.candidate.kind == "longer"]
-    assert twin.after.data_sd == pytest.approx(advice.now.data_sd / np.sqrt(2.0), rel=1e-6)
+    assert all(np.isfinite(row.after.data_sd) for row in advice.candidates)
+    assert advice.candidates[0].after.sd < advice.now.sd
+    (again,) = [row for row in advice.candidates if row.kind == "longer"]
+    assert again.after.data_sd == pytest.approx(advice.now.data_sd / np.sqrt(2.0), rel=1e-6)
 
 
 def test_sds_are_those_of_a_linear_model(make_observation):
     """For the plain axis the torque is linear: (X'X/s^2 + Y'Y/s^2 + 1/prior^2)^-1."""
     chain = AXIS.chain()
     o = make_observation(chain, AXIS.values, n=600)
-    more = {"chain": chain, "values": AXIS.values, "sigma": 0.05}
+    setup = {"chain": chain, "values": AXIS.values, "sigma": 0.05}
     options = AdviceOptions(torque_limit=0.6, speed_limit=1e3)
-    advice = ranked("motor.viscous", o, options=options, **more)
+    advice = ranked("motor.viscous", o, options=options, **setup)
 
     def columns(o):
         at = o.filter.centres
@@ -116,43 +117,37 @@ def test_sds_are_those_of_a_linear_model(make_observation):
         return np.stack([o.qdd[at], o.qd[at], sign, np.ones(at.size)], axis=1) / 0.05
 
     values = chain.vector(AXIS.values)
-    prior = np.diag([1.0 / p.sd() ** 2 for p in problem(o, **more)[0].priors[:4]])
+    prior = np.diag([1.0 / p.sd() ** 2 for p in problem(o, **setup)[0].priors[:4]])
     limits = limits_of(options, chain, [o], values)
-    checked = 0
-    for row in advice.advices:
-        _, tried = try_out(chain, values, o, row.candidate, limits)
+    for row in advice.candidates:
+        _, tried = try_out(chain, values, o, row, limits)
         both = np.concatenate([columns(o), columns(tried)])
-        information = both.T @ both
-        assert row.after.data_sd == pytest.approx(
-            np.sqrt(np.linalg.inv(information)[1, 1]), rel=1e-6
-        )
-        whole = np.sqrt(np.linalg.inv(information + prior)[1, 1])
-        assert row.after.sd == pytest.approx(whole, rel=1e-6)
-        checked += row.candidate.kind == "excitation"
-    assert checked > 5
+        exact = [np.linalg.inv(both.T @ both + p)[1, 1] ** 0.5 for p in (0.0 * prior, prior)]
+        assert [row.after.data_sd, row.after.sd] == pytest.approx(exact, rel=1e-6)
+    assert sum(row.kind == "excitation" for row in advice.candidates) > 5
 
 
 def test_every_limit_is_kept(square):
     options = AdviceOptions(torque_limit=0.7, speed_limit=1.2, angle_limits=(-0.4, 0.9))
     advice = ranked("load.inertia", square, options=options)
-    assert advice.advices
+    assert advice.candidates
     # the recording there is had more torque: another just like it is left out
     dropped = [(row.kind, why) for row, why in advice.dropped if row.made is not None]
     assert dropped == [("longer", "the torque limit"), ("known mass", "the torque limit")]
-    for row in advice.advices:
-        assert np.abs(row.candidate.command).max() <= 0.7 * (1.0 + 1e-12)
-        assert row.candidate.command[-1] == 0.0
+    for row in advice.candidates:
+        assert np.abs(row.command).max() <= 0.7 * (1.0 + 1e-12)
+        assert row.command[-1] == 0.0
         assert row.peak_speed <= 1.2
         assert -0.4 <= row.angles[0] < row.angles[1] <= 0.9
-        assert (row.candidate.lowered < 1.0) == bool(row.candidate.because_of)
-    assert any(row.candidate.because_of == "the speed limit" for row in advice.advices)
+        assert (row.lowered < 1.0) == bool(row.because_of)
+    assert any(row.because_of == "the speed limit" for row in advice.candidates)
 
 
-def test_what_cannot_move_is_dropped_and_said_so(square):
+def test_candidates_that_cannot_move_are_dropped(square):
     """Friction of Table 3 at rest is 0.087 N m + 5.03 N m/(50 alpha_1) = 0.22 N m at the motor."""
     at_rest = 0.087 + 5.03 / 50.0 / 0.7432
     advice = ranked("load.inertia", square, options=AdviceOptions(torque_limit=0.99 * at_rest))
-    assert advice.advices == ()
+    assert advice.candidates == ()
     assert not advice.determined
     assert not advice.worth
     reasons = {(row.kind, reason) for row, reason in advice.dropped}
@@ -161,20 +156,20 @@ def test_what_cannot_move_is_dropped_and_said_so(square):
     assert advice.left_out.total() == len(advice.dropped) > 8
 
 
-def test_the_mass_that_is_there_already_is_no_news():
+def test_the_mass_of_every_recording_determines_nothing():
     """Load and mass scale as one where every recording has the same mass."""
     loaded = recorded(1.4 * lagged(), added_mass=2.0, radius=0.35)
     advice = ranked("load.inertia", loaded, options=AdviceOptions(masses=()))
     assert set(advice.limits.masses) == {Inputs(), Inputs(2.0, 0.35)}
-    # what was bolted on once is on hand, and nothing else is guessed
+    # no other mass is proposed
     assert ranked("load.inertia", loaded).limits.masses == advice.limits.masses
-    for row in advice.advices:
-        same = row.candidate.inputs.added_mass == 2.0
+    for row in advice.candidates:
+        same = row.inputs.added_mass == 2.0
         assert np.isfinite(row.after.data_sd) == (not same)
 
 
-def test_a_played_recording_is_prepared_like_a_real_one(square):
-    """Play the same torque: the virtual recording is the recording, up to its last digits."""
+def test_a_simulated_recording_is_prepared_like_a_measured_one(square):
+    """Of the same torque it is that recording, up to its last digits."""
     again = simulate_recording(CHAIN, VALUES, square, square.torque, Inputs(), (0.0, 0.0))
     np.testing.assert_array_equal(again.filter.starts, square.filter.starts)
     np.testing.assert_allclose(again.qdd, square.qdd, atol=1e-9 * np.abs(square.qdd).max())
@@ -193,17 +188,6 @@ def test_bad_names_and_limits_are_refused(square):
         ranked("load.inertia", square, options=AdviceOptions(angle_limits=(0.5, 0.9)))
 
 
-def test_only_what_has_gone_round_has_no_stops(square):
-    """A joint that swung, and any slide, may have stops where nothing was recorded."""
-    far = replace(square, q=6.3 / np.ptp(square.q) * square.q)
-    assert limits_of(AdviceOptions(), CHAIN, [far], VALUES).angles is None
-    motor = replace(AXIS.chain().elements[0], motion="linear")
-    slide = Joint([motor], load=Load(motion="linear"), offset=True)
-    for wanted, angles in ((None, (far.q.min(), far.q.max())), ((-9.0, 9.0),) * 2):
-        options = AdviceOptions(angle_limits=wanted)
-        assert limits_of(options, slide, [far], slide.vector(AXIS.values)).angles == angles
-
-
 def test_limits_left_out_come_from_the_recordings(square):
     quick = replace(square, qd=2.0 * square.qd)
     limits = limits_of(AdviceOptions(), CHAIN, [square, quick], VALUES)
@@ -218,16 +202,21 @@ def test_limits_left_out_come_from_the_recordings(square):
     short = limits_of(AdviceOptions(duration=1.0, masses=()), CHAIN, [square], VALUES)
     every = candidates(CHAIN, VALUES, [square], short)
     assert {row.command.size for row in every if row.made is None} == {1000}
+    # a joint that swung, and any slide, may have stops where nothing was recorded
+    far = replace(square, q=6.3 / np.ptp(square.q) * square.q)
+    assert limits_of(AdviceOptions(), CHAIN, [far], VALUES).angles is None
+    motor = replace(AXIS.chain().elements[0], motion="linear")
+    slide = Joint([motor], load=Load(motion="linear"), offset=True)
+    for wanted, angles in ((None, (far.q.min(), far.q.max())), ((-9.0, 9.0),) * 2):
+        options = AdviceOptions(angle_limits=wanted)
+        assert limits_of(options, slide, [far], slide.vector(AXIS.values)).angles == angles
 
 
 def test_the_recording_itself_keeps_the_limits_that_are_taken_from_it(square):
     """Also where a sample that is not used, a hand's push, was three times as fast."""
-    starts, length = square.filter.starts, len(square.filter.taps)
-    used = np.zeros(square.qd.size, dtype=bool)
-    for first in starts:
-        used[first : first + length] = True
-    (unused,) = np.nonzero(~used)
-    pushed = replace(square, qd=np.where(np.arange(used.size) == unused[0], 99.0, square.qd))
+    windows = square.filter.starts[:, None] + np.arange(len(square.filter.taps))
+    unused = np.setdiff1d(np.arange(square.qd.size), windows)[0]
+    pushed = replace(square, qd=np.where(np.arange(square.qd.size) == unused, 99.0, square.qd))
     for recording in (square, pushed):
         limits = limits_of(AdviceOptions(), CHAIN, [recording], VALUES)
         first = next(iter(candidates(CHAIN, VALUES, [recording], limits)))
@@ -235,7 +224,7 @@ def test_the_recording_itself_keeps_the_limits_that_are_taken_from_it(square):
         assert try_out(CHAIN, VALUES, recording, first, limits)[0] is first
 
 
-def test_a_joint_that_was_held_is_asked_for_its_own_motion_only(square):
+def test_a_joint_that_was_held_repeats_its_own_motion_only(square):
     """Far from where the leg hangs, as a controller alone can keep it."""
     held = replace(square, q=square.q + 2.0)
     limits = limits_of(AdviceOptions(), CHAIN, [held], VALUES)
@@ -246,22 +235,22 @@ def test_a_joint_that_was_held_is_asked_for_its_own_motion_only(square):
     assert limits_of(AdviceOptions(), CHAIN, [fed_back], VALUES).held
     longer, carrying = candidates(CHAIN, VALUES, [held], limits)
     assert (longer.kind, carrying.kind) == ("longer", "known mass")
-    # with what is bolted on, its motion asks for the torque of a heavier leg
+    # with a mass its motion needs the torque of a heavier leg
     inertia, moment = carrying.inputs.load("rotary")
     more = {"load.inertia": inertia, "load.first_moment": moment}
     heavier = CHAIN.vector({k: v + more.get(k, 0.0) for k, v in KNEE.values.items()})
     expected = inverse_torque(CHAIN, heavier, held.q, held.qd, held.qdd)
     np.testing.assert_allclose(carrying.made.torque, expected, rtol=1e-9, atol=1e-12)
-    # which may be too much for the drive as it was used
+    # which may be more than the drive gave
     tight = ranked("load.first_moment", held)
     assert [why for _, why in tight.dropped] == ["the torque limit"]
     advice = ranked("load.first_moment", held, options=AdviceOptions(torque_limit=20.0))
-    assert advice.advices[0].candidate.kind == "known mass"
-    assert np.isinf(advice.now.data_sd) > np.isinf(advice.advices[0].after.data_sd)
+    assert advice.candidates[0].kind == "known mass"
+    assert np.isinf(advice.now.data_sd) > np.isinf(advice.candidates[0].after.data_sd)
 
 
-def test_what_was_recorded_is_tried_again_with_a_known_mass(square):
-    """The cheapest experiment that parts alpha from the leg: bolt it on, run the program again."""
+def test_the_recorded_torque_is_tried_again_with_a_known_mass(square):
+    """The cheapest experiment that distinguishes alpha and leg."""
     limits = limits_of(AdviceOptions(), CHAIN, [square], VALUES)
     longer, *others = candidates(CHAIN, VALUES, [square], limits)
     (played,) = [row for row in others if row.form == "the torque of 'made-up' again"]
@@ -271,9 +260,9 @@ def test_what_was_recorded_is_tried_again_with_a_known_mass(square):
     np.testing.assert_array_equal(played.command, longer.command)
     # it determines what no mass leaves open
     advice = ranked("load.inertia", square)
-    (row,) = [a for a in advice.advices if a.candidate.form == played.form]
+    (row,) = [a for a in advice.candidates if a.form == played.form]
     assert np.isinf(advice.now.data_sd) > np.isinf(row.after.data_sd)
-    # with the mass on the recording already it is what there is, and without it is another
+    # a recording that has the mass is repeated without it
     carried = replace(square, inputs=played.inputs)
     limits = limits_of(AdviceOptions(), CHAIN, [carried], VALUES)
     every = candidates(CHAIN, VALUES, [carried], limits)
@@ -310,5 +299,5 @@ def test_a_stribeck_velocity_on_its_bound_leaves_no_candidate_out():
     options = AdviceOptions(duration=0.5, masses=())
     advice = ranked("motor.viscous", observed, options=options, chain=chain, values=values)
     assert not [why for _, why in advice.dropped if "greater than zero" in why]
-    assert {row.candidate.kind for row in advice.advices} == {"excitation", "longer"}
-    assert all(np.isfinite(row.after.sd) for row in advice.advices)
+    assert {row.kind for row in advice.candidates} == {"excitation", "longer"}
+    assert all(np.isfinite(row.after.sd) for row in advice.candidates)

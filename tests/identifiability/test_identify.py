@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.identifiability.coverage import coverage_of
+from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.identifiability.friction_curve import coverage_of
 from bayesfric.identifiability.identification import identify, speed_term
-from bayesfric.identifiability.local import (
-    estimate_point,
-    local_information,
-)
-from bayesfric.identifiability.simulated_recording import simulate_recording
+from bayesfric.identifiability.local import estimate_point, local_information
+from bayesfric.identifiability.next_recording import simulate_recording
 from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs, Law
+from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 from tests.identifiability.bench import AXIS, CHAIN, KNEE, PERIOD, VALUES, problem
 
@@ -30,6 +30,7 @@ SCALED = (
     "load.inertia",
     "load.first_moment",
 )
+HEAVY = bf.Load(first_moment=True)
 N, PEAK = 4000, 0.8
 TIME = PERIOD * np.arange(N)
 SQUARE = experiment.square(TIME, PEAK, 1.0)
@@ -115,12 +116,8 @@ def test_with_a_sine_the_load_never_drives(sine):
     (row,) = [row for row in sine.parameters if row.name == "gearbox.load_back"]
     assert (row.data_sd, row.status) == (np.inf, "unidentified")
     assert row.expected_sd == pytest.approx(row.prior_sd, rel=1e-6)
-
-
-def test_a_table_and_json_have_what_determines_each_parameter(sine):
-    frame = sine.frame
-    assert list(frame.index) == [row.name for row in sine.parameters]
-    assert set(frame.loc["load.inertia", "open_with"].split(", ")) >= set(SCALED) - {"load.inertia"}
+    others = sine.frame.loc["load.inertia", "open_with"].split(", ")
+    assert set(others) >= set(SCALED) - {"load.inertia"}
     record = json.loads(json.dumps(sine.as_json(), allow_nan=False))  # without an infinity
     assert record["parameters"]["gearbox.load_back"]["data_sd"] is None
 
@@ -144,7 +141,7 @@ def test_what_is_proposed_does_it(lagged):
     assert all(np.isfinite(row.data_sd) for row in both.parameters)
 
 
-def test_what_is_told_already_is_not_asked_for():
+def test_what_a_prior_determines_is_no_remedy():
     prior = {"distribution": "norm", "loc": 0.206, "scale": 0.01}
     result = look(recorded(LAGGED), texts={"load.inertia": prior})
     (fixed,) = [r for r in result.directions[0].remedies if r.kind == "known value"]
@@ -166,15 +163,25 @@ def test_the_same_mass_everywhere_counts_as_load():
     assert any("another known added mass" in r.text for r in null.remedies)
 
 
-def test_a_back_emf_has_the_shape_of_viscous_loss():
-    target, parameters = problem(recorded(LAGGED))
-    simulate_recording = made_recording(TIME, 0.0 * TIME, LAGGED, PERIOD, name="made-up")
+@pytest.mark.parametrize("viscous", [{}, {"viscous": "by-direction"}])
+@pytest.mark.parametrize("load_loss", [{}, {"load_loss": "two"}])
+def test_a_back_emf_has_the_shape_of_viscous_loss(viscous, load_loss):
+    """An error of it, at the motor, is a sum of the columns of exactly these parameters."""
     law = Law(LAGGED, np.ones(N), back_emf=0.3)
-    result = speed_term(target, parameters, [replace(simulate_recording, law=law, ratio=10.0)])
-    assert result.same_as_back_emf == ("motor.viscous",)
+    raw = replace(made_recording(TIME, 0.0 * TIME, LAGGED, PERIOD, name="made-up"), ratio=10.0)
+    choices = {"inertia": True, "coulomb": "symmetric", "viscous": True, **viscous, **load_loss}
+    joint = bf.Joint([bf.Element("motor", **choices), bf.Element("arm", viscous=True)], HEAVY)
+    o = replace(recorded(LAGGED), name="made-up")
+    values = dict.fromkeys(joint.names, 0.1)
+    target, _ = problem(o, chain=joint, values=values)
+    result = speed_term(target, [replace(raw, law=law)])
     assert result.nominal == pytest.approx(0.03)
-    assert result.explained == pytest.approx(1.0, abs=1e-9)
-    assert speed_term(target, parameters, [simulate_recording]) is None
+    assert speed_term(target, [raw]) is None
+    jacobian = torque_jacobian(joint, [o], joint.vector(values), np.full(len(joint.names), 1e-4))
+    terms = jacobian[:, [joint.names.index(name) for name in result.same_as_back_emf]]
+    speed = o.filter.apply(o.qd)
+    np.testing.assert_allclose(terms @ np.linalg.lstsq(terms, speed)[0], speed, atol=1e-6)
+    assert ("arm.viscous" in result.same_as_back_emf) == (not load_loss)
 
 
 def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):
@@ -221,7 +228,7 @@ def test_facts_of_a_recording():
 
 
 @pytest.mark.parametrize("sds", [0.5, 5.0])
-def test_an_offset_that_the_table_says_the_data_tell_is_not_called_weak(make_observation, sds):
+def test_an_offset_that_the_data_determine_is_not_weak(make_observation, sds):
     """Known to a hundredth of the torque, it is well known, whether or not it differs from 0."""
     chain = AXIS.chain()
     observation = make_observation(chain, AXIS.values | {"offset": 0.0}, sigma=1.0, n=1000)
@@ -233,9 +240,6 @@ def test_an_offset_that_the_table_says_the_data_tell_is_not_called_weak(make_obs
     assert row.value / row.data_sd == pytest.approx(sds, rel=1e-6)
     assert row.status == "identified"
     assert not any("offset" in row.exponents for row in result.directions)
-
-
-# -- limits
 
 
 def test_a_limit_is_not_called_determined():
@@ -255,3 +259,46 @@ def test_a_limit_is_not_called_determined():
     determined = [row.name for row in result.determined]
     assert "total_drive.gravity_size" in determined
     assert not any("alpha" in name or "efficiency" in name for name in determined)
+
+
+# Terms that repeat or pull back
+
+SWUNG = {
+    "motor.inertia": 0.05,
+    "motor.coulomb": 0.2,
+    "motor.viscous": 0.1,
+    "load.first_moment": 0.3,
+}
+
+
+def identified(load, more, amplitude):
+    """Look at an exact motion of a motor that swings a load without a gear."""
+    joint = bf.Joint(
+        [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
+        load=bf.Load(first_moment=True, **load),
+    )
+    time = np.arange(4000) * 0.002
+    lines = ((0.4, 0.8), (1.1, 0.4), (2.7, 0.15))
+    q, qd, qdd = swing(time, [(f, amplitude * a) for f, a in lines])
+    torque = inverse_torque(joint, joint.vector(SWUNG | more), q, qd, qdd, time=time)
+    torque += 0.01 * np.random.default_rng(1).standard_normal(time.size)
+    return bf.Model(joint, bf.Recording.from_arrays(time, q, torque)).identification()
+
+
+def test_a_ripple_once_a_turn_is_gravity():
+    more = {"load.cogging_sin_1": 0.05, "load.cogging_cos_1": 0.02}
+    result = identified({"cogging": (1,)}, more, 1.0)
+    (row,) = result.directions
+    assert row.kind == "null"
+    assert set(row.exponents) == {"load.first_moment", "load.cogging_sin_1"}
+    # the cosine gravity does not have
+    assert np.isfinite(result.frame.loc["load.cogging_cos_1", "data_sd"])
+
+
+@pytest.mark.parametrize(("amplitude", "identified_by_data"), [(0.15, False), (1.5, True)])
+def test_a_spring_is_gravity_as_long_as_the_swing_is_small(amplitude, identified_by_data):
+    result = identified({"spring": True}, {"load.spring": 0.2}, amplitude)
+    sd = result.frame.loc["load.spring", "data_sd"]
+    # of a small swing the sine is the angle but for its sixth of a cube
+    assert (sd < 0.01) == identified_by_data
+    assert [row.kind for row in result.directions] == ([] if identified_by_data else ["weak"])

@@ -69,57 +69,39 @@ def test_a_term_of_ones_own_keeps_its_name_and_its_own_unit(make_observation):
 
 
 def prior_of(relative, default=False, value=1.0):
-    distribution = stats.norm(0.0, relative * value)
-    return Prior("", distribution, np.nan, -np.inf, np.inf, default=default)
-
-
-def named(j, priors, sd, prior_sd, own=True):
-    """Of a number whose data say all but a factor common to three."""
-    ratios = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0], [1.0, 0.0, -1.0]]) / RATIO
-    local = SimpleNamespace(names=NAMES, units=SIZES, directions=directions(ratios, np.ones(3)))
-    relative = dict(zip(NAMES, priors, strict=True))
-    given_priors = [
-        prior_of(relative[n][0], relative[n][1], v) for n, v in zip(NAMES, SIZES, strict=True)
-    ]
-    gradient = np.eye(3)[j]
-    at = SIZES[j]
-    return given_by(local, given_priors, gradient, sd * at, prior_sd * at, j if own else None)
+    return Prior("", stats.norm(0.0, relative * value), np.nan, -np.inf, np.inf, default=default)
 
 
 WEIGHED = [(0.3, True), (0.07, False), (0.8, True)]
-
-
-def test_a_given_weight_determines_what_shares_its_factor():
-    # data and weight leave 7.07 % of the others
-    assert named(0, WEIGHED, 0.07, 0.3) == ["load.first_moment"]
-    assert named(2, WEIGHED, 0.07, 0.8) == ["load.first_moment"]
-    assert named(0, WEIGHED, 0.07, 0.3, own=False) == ["load.first_moment"]
-
-
-def test_what_was_given_is_not_given_by_itself():
-    assert named(1, WEIGHED, 0.067, 0.07) == []
+WEIGHT = ["load.first_moment"]
 
 
 @pytest.mark.parametrize(
-    ("priors", "sd"),
+    ("number", "priors", "sd", "prior_sd", "own", "informative"),
     [
-        ([(0.3, True), (0.07, True), (0.8, True)], 0.07),  # none is given
-        ([(0.3, True), (0.07, False), (0.08, True)], 0.053),  # a default says nearly as much
-        ([(0.3, True), (0.07, False), (0.8, True)], 0.2),  # as wide as its own prior
-        ([(0.3, True), (0.07, False), (0.8, True)], 0.02),  # a bound made it narrower still
-        ([(0.3, True), (np.inf, False), (0.8, True)], 0.07),  # given, but flat
+        # data and weight leave 7.07 % of the others
+        (0, WEIGHED, 0.07, 0.3, True, WEIGHT),
+        (2, WEIGHED, 0.07, 0.8, True, WEIGHT),
+        (0, WEIGHED, 0.07, 0.3, False, WEIGHT),
+        (1, WEIGHED, 0.067, 0.07, True, []),  # the weight itself
+        (0, [(0.3, True), (0.07, True), (0.8, True)], 0.07, 0.3, True, []),  # defaults alone
+        (0, [(0.3, True), (0.07, False), (0.08, True)], 0.053, 0.3, True, []),  # as good a default
+        (0, WEIGHED, 0.2, 0.3, True, []),  # as wide as its own prior
+        (0, WEIGHED, 0.02, 0.3, True, []),  # a bound made it narrower still
+        (0, [(0.3, True), (np.inf, False), (0.8, True)], 0.07, 0.3, True, []),  # a flat prior
+        (0, [(0.3, True), (0.02, False), (0.07, False)], 0.021, 0.3, True, WEIGHT),  # the better
+        # each alone leaves 5.1 %, both together 3.6 %: within a half of it, so one is enough
+        (0, [(0.3, True), (0.05, False), (0.05, False)], 0.036, 0.3, True, WEIGHT),
     ],
 )
-def test_no_given_prior_determines_it(priors, sd):
-    assert named(0, priors, sd, 0.3) == []
-
-
-def test_of_several_one_that_is_enough_is_named():
-    better = [(0.3, True), (0.02, False), (0.07, False)]
-    assert named(0, better, 0.021, 0.3) == ["load.first_moment"]
-    alike = [(0.3, True), (0.05, False), (0.05, False)]
-    # each alone leaves 5.1 %, both together 3.6 %: within a half of it, so one is enough
-    assert named(0, alike, 0.036, 0.3) == ["load.first_moment"]
+def test_priors_that_determine_a_number_are_named(number, priors, sd, prior_sd, own, informative):
+    """The data leave a factor common to three open."""
+    ratios = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0], [1.0, 0.0, -1.0]]) / RATIO
+    local = SimpleNamespace(names=NAMES, units=SIZES, directions=directions(ratios, np.ones(3)))
+    given = [prior_of(*prior, value) for prior, value in zip(priors, SIZES, strict=True)]
+    sds = SIZES[number] * np.array([sd, prior_sd])
+    names = given_by(local, given, np.eye(3)[number], *sds, number if own else None)
+    assert names == informative
 
 
 def test_two_factors_take_two_priors():

@@ -27,10 +27,10 @@ def numeric_log_determinant(mapped, u, step=1e-6):
     jacobian = np.empty((u.size, u.size))
     for i in range(u.size):
         h = step * max(abs(u[i]), 1e-2)
-        beside = np.stack([u, u])
-        beside[0, i] += h
-        beside[1, i] -= h
-        high, low = mapped(beside)[0]
+        neighbours = np.stack([u, u])
+        neighbours[0, i] += h
+        neighbours[1, i] -= h
+        high, low = mapped(neighbours)[0]
         jacobian[:, i] = (high - low) / (2 * h)
     return np.linalg.slogdet(jacobian)[1]
 
@@ -136,6 +136,10 @@ def priors_of(chain, changes=()):
     return priors
 
 
+COORDINATES = choose_coordinates(KNEE.chain(), priors_of(KNEE.chain()))
+POINT = COORDINATES.from_parameters(values_of(KNEE.chain())[None])
+
+
 def rows_of(chain, priors, n, seed):
     """Random joints with a passive, reversible gearbox, their free parameters."""
     rng = np.random.default_rng(seed)
@@ -164,10 +168,10 @@ KNOWN = (
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        (name, some)
+        (name, prior_texts)
         for name, chain in CHAINS.items()
-        for some in KNOWN
-        if some.keys() <= {*chain.names}
+        for prior_texts in KNOWN
+        if prior_texts.keys() <= {*chain.names}
     ],
     ids=str,
 )
@@ -211,58 +215,47 @@ def test_linear_coordinates_round_trip_and_their_jacobian_is_right(chain):
 
 def test_the_torque_is_linear_in_linear_coordinates():
     """So an identified posterior is normal there: eq. (13) at fixed directions of power."""
-    chain = KNEE.chain()
-    coordinates = choose_coordinates(chain, priors_of(chain))
-    u = coordinates.from_parameters(values_of(chain)[None])
-    linear = np.repeat(coordinates.to_linear(u)[0], 3, axis=0)
+    linear = np.repeat(COORDINATES.to_linear(POINT)[0], 3, axis=0)
     linear[1:, :10] *= 1.0 + np.outer([0.5, 1.0], np.linspace(-1e-3, 1e-3, 10))
-    rows, _ = coordinates.to_parameters(coordinates.from_linear(linear))
+    rows, _ = COORDINATES.to_parameters(COORDINATES.from_linear(linear))
     rng = np.random.default_rng(6)
     q, qd, qdd = rng.normal(size=(3, 200)) + np.array([[0.0], [0.0], [3.0]])
-    first, middle, last = inverse_torque(chain, rows, q, qd, qdd)
+    first, middle, last = inverse_torque(KNEE.chain(), rows, q, qd, qdd)
     away = np.abs(last - first).max()
     assert np.quantile(np.abs(middle - 0.5 * (first + last)), 0.9) < 1e-9 * away
 
 
 def test_the_scale_leaves_the_torque_alone_and_fills_the_passive_interval():
     """Notes: dissipativity confines the factor k to [1/alpha_2, 1/alpha_1]."""
-    chain = KNEE.chain()
-    coordinates = choose_coordinates(chain, priors_of(chain))
-    u = np.tile(coordinates.from_parameters(values_of(chain)[None]), (41, 1))
+    u = np.tile(POINT, (41, 1))
     u[:, 10] = np.linspace(-30.0, 30.0, 41)
-    rows, _ = coordinates.to_parameters(u)
+    rows, _ = COORDINATES.to_parameters(u)
     q, qd, qdd = np.random.default_rng(2).normal(size=(3, 200))
-    torque = inverse_torque(chain, rows, q, qd, qdd)
+    torque = inverse_torque(KNEE.chain(), rows, q, qd, qdd)
     assert np.abs(torque - torque[0]).max() < 1e-12
-    assert (rows[:, 4] >= -1e-12).all()
-    assert (rows[:, 5] >= -1e-12).all()
-    factor = rows[:, 10] / values_of(chain)[10]
+    assert (rows[:, 4:6] >= -1e-12).all()
+    factor = rows[:, 10] / values_of(KNEE.chain())[10]
     assert factor.max() == pytest.approx(1.0 / 0.7432, rel=1e-9)
     assert factor.min() == pytest.approx(1.0 / 1.408, rel=1e-9)
 
 
 def test_the_torque_while_the_motor_drives_depends_on_the_first_coordinates_alone():
-    chain = KNEE.chain()
-    coordinates = choose_coordinates(chain, priors_of(chain))
-    u = coordinates.from_parameters(rows_of(chain, priors_of(chain), 1, seed=3))
-    others = np.tile(u, (50, 1))
+    others = np.tile(POINT, (50, 1))
     # four sums of motor and leg, then their shares, then gravity's
     moving = [4, 5, 6, 7]
     others[:, [*moving, 9, 10]] = np.random.default_rng(4).normal(size=(50, 6))
-    rows, _ = coordinates.to_parameters(others)
+    rows, _ = COORDINATES.to_parameters(others)
     # a load that pulls against the motion, so that the motor drives throughout
     q, qd, qdd = np.full(30, 0.7), np.linspace(0.1, 3.0, 30), np.linspace(0.0, 5.0, 30)
-    torque = inverse_torque(chain, rows, q, qd, qdd)
+    torque = inverse_torque(KNEE.chain(), rows, q, qd, qdd)
     assert np.abs(torque - torque[0]).max() < 1e-9 * np.abs(torque).max()
 
 
 def test_impossible_gearboxes_have_no_density():
-    chain = KNEE.chain()
-    coordinates = choose_coordinates(chain, priors_of(chain))
-    u = np.tile(coordinates.from_parameters(values_of(chain)[None]), (2, 1))
+    u = np.tile(POINT, (2, 1))
     u[0, 0] = -u[0, 0]  # less than no torque, shared between motor and leg
     u[1, 0] = math.nan
-    assert np.isneginf(coordinates.to_parameters(u)[1]).all()
+    assert np.isneginf(COORDINATES.to_parameters(u)[1]).all()
 
 
 def test_they_are_for_one_load_dependent_element():
@@ -270,9 +263,10 @@ def test_they_are_for_one_load_dependent_element():
     # mu_2 above one, an irreversible gearbox, passes nothing back
     irreversible = priors_of(knee, {"gearbox.load_back": [0.0, 2.0]})
     assert isinstance(choose_coordinates(knee, irreversible), BoundedCoordinates)
-    plain = replace(knee, elements=(MOTOR, replace(GEARBOX, load_loss="none"), JOINT))
-    assert isinstance(choose_coordinates(plain, priors_of(plain)), BoundedCoordinates)
-    both = replace(knee, elements=(MOTOR, GEARBOX, replace(JOINT, load_loss="one")))
-    assert isinstance(choose_coordinates(both, priors_of(both)), BoundedCoordinates)
-    bare = Joint(elements=(MOTOR, replace(GEARBOX, load_loss="one")))
-    assert isinstance(choose_coordinates(bare, priors_of(bare)), BoundedCoordinates)
+    lossless, one = (replace(GEARBOX, load_loss=loss) for loss in ("none", "one"))
+    for chain in (
+        replace(knee, elements=(MOTOR, lossless, JOINT)),
+        replace(knee, elements=(MOTOR, GEARBOX, replace(JOINT, load_loss="one"))),
+        Joint(elements=(MOTOR, one)),
+    ):
+        assert isinstance(choose_coordinates(chain, priors_of(chain)), BoundedCoordinates)

@@ -77,10 +77,6 @@ def test_a_large_effect_is_certain_and_none_is_less_likely_than_before(seed):
     assert np.median(none) < 0.1
 
 
-def test_without_candidates_nothing_can_be_missing():
-    assert chance_missing(replace(regression(1.0), kinds={})) == 0.0
-
-
 def test_columns_cancel_no_better_than_their_shapes_are_known():
     """Two columns leave 1 % of themselves, the same but for its sign, and a tenth of one is left.
 
@@ -155,6 +151,7 @@ def test_intervals_of_a_wrong_model_hold_the_truth(wrong):
 
 
 def test_without_candidates_nothing_moves(right):
+    assert chance_missing(replace(regression(1.0), kinds={})) == 0.0
     none = discrepancy(right.fit.target, right.fit.posterior, None)
     assert not none.is_plausible
     draws = right.fit.posterior.flat(50)
@@ -195,9 +192,9 @@ def test_a_column_moves_constants_in_full_and_friction_by_what_motions_differ_in
     target, posterior, observations = fit.target, fit.posterior, fit.observations
     linear = LinearisedFit(target, posterior, observations)
     # unit weights give the posterior's own estimator: its rows times it are the identity
-    own = np.linalg.solve(linear.root, linear.estimator()) @ linear.rows
+    identity = np.linalg.solve(linear.root, linear.estimator()) @ linear.rows
     # the covariance is of some 400 effective draws
-    np.testing.assert_allclose(own, np.eye(len(own)), atol=3.0 / np.sqrt(400.0))
+    np.testing.assert_allclose(identity, np.eye(len(identity)), atol=3.0 / np.sqrt(400.0))
     (o,) = target.likelihood.outputs
     column = observations[0].qd[observations[0].filter.centres][:, None] ** 3
     missing = replace(regression(0.3, n=o.measured.size), columns=column, observations=observations)
@@ -222,9 +219,9 @@ def test_a_column_orthogonal_to_the_model_moves_nothing(right):
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((o.measured.size, 1))
     noise *= np.sqrt(np.mean(o.measured**2) / np.mean(noise**2))
-    one = regression(0.3, n=o.measured.size)
+    missing = regression(0.3, n=o.measured.size)
     errors = discrepancy(
-        fit.target, fit.posterior, replace(one, columns=noise, observations=fit.observations)
+        fit.target, fit.posterior, replace(missing, columns=noise, observations=fit.observations)
     )
     assert errors.chance > 0.99
     # by chance each direction of unit noise is moved by size times the rms over the noise
@@ -244,9 +241,9 @@ def test_coordinates_of_a_gearbox_are_friction_or_constants(make_observation):
     k = len(target.free)
     v = target.unbounded(at)
     constants = {"inertia", "first_moment", "gravity_angle", "offset"}
-    own = [name.split(".")[-1] not in constants for name in target.free]
+    is_friction = [name.split(".")[-1] not in constants for name in target.free]
     load = target.free.index("gearbox.load")
     for i, friction in enumerate(target.friction):
         moved = target.from_unbounded(v + 1e-6 * v.std() * (np.arange(v.shape[1]) == i))
         changed = np.flatnonzero(~np.isclose(moved, at, rtol=1e-10, atol=0.0)[0, :k])
-        assert load in changed or [own[j] for j in changed] == [friction] * changed.size
+        assert load in changed or [is_friction[j] for j in changed] == [friction] * changed.size

@@ -8,18 +8,16 @@ from scipy import stats
 from scipy.linalg import block_diag, null_space, toeplitz
 from scipy.signal import lsim
 
-from bayesfric.estimates.output_error import Shooting
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.own_term import Term
 from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.trajectory import Trajectory
-from tests.axis import AXIS, VALUES
+from tests.axis import AXIS, VALUES, torque_columns
 from tests.conftest import made_observation
 from tests.inference.test_autoregression import covariance
 
@@ -43,30 +41,19 @@ def observed(name, segments, factor, seed, rest=None):
     usable[n // 2 : n // 2 + 9] = False
     taken = lay_windows(parallel_taps(factor, None, 500.0), segments, factor, usable, 0.0)
     time, (q, qd, qdd) = np.arange(n) / 500.0, rng.standard_normal((3, n))
-    torque = columns(q, qd, qdd) @ AXIS.vector(VALUES) + 0.1 * rng.standard_normal(n)
-    made = made_observation(
+    torque = torque_columns(q, qd, qdd) @ AXIS.vector(VALUES) + 0.1 * rng.standard_normal(n)
+    observation = made_observation(
         name, time, (q, qd, qdd), torque, taken, factor / 500.0, Inputs(recording=name)
     )
     number = np.searchsorted([b for _, b in segments], taken.starts, side="right")
-    return replace(made, segment_of=number, rest=rest)
-
-
-def columns(q, qd, qdd):
-    by = {
-        "motor.inertia": qdd,
-        "motor.viscous": qd,
-        "motor.coulomb": np.sign(qd),
-        "load.first_moment": 9.80665 * np.sin(q),
-        "offset": np.ones(q.size),
-    }
-    return np.stack([by[name] for name in AXIS.names], axis=1)
+    return replace(observation, segment_of=number, rest=rest)
 
 
 RESTED = Rest(np.array([0.0, 0.5, -0.7]), np.array([0.1, 1.4, -2.0]), np.zeros(3))
 OBSERVED = (
-    observed("one", ((0, 90), (90, 130), (140, 143), (150, 151)), 1, 0),
-    observed("two", ((0, 200), (200, 331)), 5, 1, RESTED),
-    observed("three", ((0, 60),), 2, 2),
+    observed("first", ((0, 90), (90, 130), (140, 143), (150, 151)), 1, 0),
+    observed("second", ((0, 200), (200, 331)), 5, 1, RESTED),
+    observed("third", ((0, 60),), 2, 2),
 )
 
 
@@ -88,8 +75,7 @@ def torque(request):
     scales[..., 0] = rng.uniform(0.1, 0.3, (3, 3))
     scales[..., 1:] = PARTIAL[:order] * rng.uniform(0.5, 1.0, (3, 1, 1))
     residuals = [
-        np.stack([o.measured - o.filter.apply(columns(o.q, o.qd, o.qdd) @ v) for v in values])
-        for o in OBSERVED
+        o.measured - o.filter.apply(values @ torque_columns(o.q, o.qd, o.qdd).T) for o in OBSERVED
     ]
     return likelihood, values, scales, residuals
 
@@ -104,9 +90,9 @@ def test_torque_is_the_multivariate_normal_of_every_recording_s_own(torque):
         expected = 0.0
         for r, o in enumerate(OBSERVED):
             normal = stats.multivariate_normal(cov=dense(o, scales[v, r, 0], scales[v, r, 1:]))
-            here = normal.logpdf(residuals[r][v])
-            assert terms[r][v].sum() == pytest.approx(here, rel=1e-9)
-            expected += here
+            density = normal.logpdf(residuals[r][v])
+            assert terms[r][v].sum() == pytest.approx(density, rel=1e-9)
+            expected += density
         # what standstill says: the noise of one output takes the torque into the limits
         value = dict(zip(AXIS.names, values[v], strict=True))
         middle = 9.80665 * value["load.first_moment"] * np.sin(RESTED.q) + value["offset"]
@@ -122,23 +108,23 @@ def test_torque_is_the_multivariate_normal_of_every_recording_s_own(torque):
     np.testing.assert_allclose(likelihood.sum_of_squares(values), np.transpose(squares), rtol=1e-9)
 
 
-def test_noise_of_torque_is_drawn_whitened_and_told_as_its_covariance(torque):
+def test_torque_noise_is_drawn_and_whitened_by_its_covariance(torque):
     likelihood, _, scales, residuals = torque
-    one = scales[1]
-    white = likelihood.innovations(residuals, one)
-    sds = likelihood.noise_sd(one)
+    scale = scales[1]
+    white = likelihood.innovations(residuals, scale)
+    sds = likelihood.noise_sd(scale)
     for r, o in enumerate(OBSERVED):
-        whole = dense(o, one[r, 0], one[r, 1:])
-        square = np.einsum("vm,vm->v", residuals[r], np.linalg.solve(whole, residuals[r].T).T)
+        cov = dense(o, scale[r, 0], scale[r, 1:])
+        square = np.einsum("vm,vm->v", residuals[r], np.linalg.solve(cov, residuals[r].T).T)
         np.testing.assert_allclose(np.sum(white[r] ** 2, axis=1), square, rtol=1e-9)
-        np.testing.assert_allclose(sds[r], np.sqrt(np.diag(whole)), rtol=1e-9)
+        np.testing.assert_allclose(sds[r], np.sqrt(np.diag(cov)), rtol=1e-9)
     # draws, whitened, are the random numbers that they are made of
     rng = np.random.default_rng(5)
     drawn = likelihood.draw_noise(scales, np.random.default_rng(5))
     for r, (o, draws) in enumerate(zip(OBSERVED, drawn, strict=True)):
         roots = [np.linalg.cholesky(dense(o, s[r, 0], s[r, 1:])) for s in scales]
-        made = [np.linalg.solve(root, d) for root, d in zip(roots, draws, strict=True)]
-        np.testing.assert_allclose(made, rng.standard_normal(draws.shape), atol=1e-8)
+        normals = [np.linalg.solve(root, d) for root, d in zip(roots, draws, strict=True)]
+        np.testing.assert_allclose(normals, rng.standard_normal(draws.shape), atol=1e-8)
 
 
 @pytest.mark.parametrize("order", [0, 1, 3])
@@ -147,27 +133,19 @@ def test_information_of_scales_is_that_of_a_long_normal_vector(order):
     n, scales = 600, np.array([0.3, *PARTIAL[:order]])
     noise = Autoregressive(order)
 
-    def whole(s):
+    def cov(s):
         return s[0] ** 2 * covariance(s[1:], n)
 
     slopes = []
     for step in 1e-5 * np.eye(scales.size):
-        slope = (whole(scales + step) - whole(scales - step)) / 2e-5
-        slopes.append(np.linalg.solve(whole(scales), slope))
+        slope = (cov(scales + step) - cov(scales - step)) / 2e-5
+        slopes.append(np.linalg.solve(cov(scales), slope))
     exact = np.array([[0.5 * np.trace(a @ b) for a in slopes] for b in slopes])
-    found = noise.information(scales, n)
+    information = noise.information(scales, n)
     root = np.sqrt(np.diag(exact))
     np.testing.assert_allclose(
-        found / root / root[:, None], exact / root / root[:, None], atol=0.03
+        information / root / root[:, None], exact / root / root[:, None], atol=0.03
     )
-
-
-def test_searches_start_from_one_marginal_spread():
-    for order in (0, 1, 3):
-        noise = Autoregressive(order)
-        starts = noise.starts(0.7)
-        assert [noise.sd(s) for s in starts] == pytest.approx([0.7] * len(starts))
-        assert len({tuple(s) for s in starts}) == len(starts)
 
 
 # --- position ---------------------------------------------------------------------------------
@@ -233,25 +211,25 @@ class Run:
 
     def fits(self, covariances):
         """Projections of residuals onto the states, by generalised least squares."""
-        for whole, (*_, x) in zip(covariances, self.parts, strict=True):
-            weighted = np.linalg.solve(whole, x)
+        for cov, (*_, x) in zip(covariances, self.parts, strict=True):
+            weighted = np.linalg.solve(cov, x)
             yield x @ np.linalg.solve(x.T @ weighted, weighted.T)
 
 
 @pytest.fixture(scope="module", params=["zero", "linear"])
 def runs(request):
-    made = [
+    recordings = [
         Run("short", ((0, 60), (63, 90), (90, 93)), 1, request.param, 0),
         Run("long", ((4, 310), (310, 517), (520, 526)), 2, request.param, 1),
     ]
-    return made, PositionLikelihood(LINEAR, [r.trajectory for r in made], [], POINT)
+    return recordings, PositionLikelihood(LINEAR, [r.trajectory for r in recordings], [], POINT)
 
 
 def test_position_is_the_normal_of_what_no_state_moves(runs):
-    made, likelihood = runs
+    recordings, likelihood = runs
     values, scales = np.tile(POINT, (3, 1)), np.stack([SCALES, SCALES[::-1]], axis=1)
     terms = likelihood.pointwise(values, scales)
-    for r, run in enumerate(made):
+    for r, run in enumerate(recordings):
         for v in range(3):
             expected = sum(
                 stats.multivariate_normal(cov=f.T @ c @ f).logpdf(f.T @ x)
@@ -265,16 +243,18 @@ def test_position_is_the_normal_of_what_no_state_moves(runs):
         sd = np.concatenate(
             [
                 np.sqrt(np.linalg.eigvalsh(f.T @ c @ f))
-                for f, c in zip(made[r].free, made[r].covariances(scales[0, r]), strict=True)
+                for f, c in zip(
+                    recordings[r].free, recordings[r].covariances(scales[0, r]), strict=True
+                )
             ]
         )
         logs = np.log(sd).sum() + 0.5 * sd.size * np.log(2.0 * np.pi)
         np.testing.assert_allclose(-0.5 * np.sum(z[0] ** 2) - logs, t[0].sum(), rtol=1e-4)
 
 
-def test_what_is_compared_are_averages_of_segments_that_are_long_enough(runs):
-    made, likelihood = runs
-    for run, out in zip(made, likelihood.outputs, strict=True):
+def test_outputs_are_averages_of_segments_that_are_long_enough(runs):
+    recordings, likelihood = runs
+    for run, out in zip(recordings, likelihood.outputs, strict=True):
         np.testing.assert_allclose(out.measured, np.concatenate(run.averaged), rtol=1e-12)
         np.testing.assert_allclose(out.time, np.concatenate(run.time), rtol=1e-12)
         steps = np.diff(out.time)
@@ -285,46 +265,48 @@ def test_what_is_compared_are_averages_of_segments_that_are_long_enough(runs):
         assert (out.name, out.quantity, out.unit) == (run.trajectory.name, "joint position", "rad")
 
 
-def test_position_s_noise_is_drawn_and_told_about_the_best_states(runs):
-    made, likelihood = runs
+def test_position_noise_is_drawn_about_the_best_states(runs):
+    recordings, likelihood = runs
     scales = SCALES[:2]
-    n = 1 + max(x.size for run in made for x in run.averaged)
+    n = 1 + max(x.size for run in recordings for x in run.averaged)
     drawn = likelihood.draw_noise(np.tile(scales, (n, 1, 1)), Corners())
     sds = likelihood.noise_sd(scales)
-    for run, draws, sd, s in zip(made, drawn, sds, scales, strict=True):
-        whole = run.covariances(s)
-        left = [c - fit @ c for c, fit in zip(whole, run.fits(whole), strict=True)]
-        np.testing.assert_allclose(sd**2, np.concatenate([np.diag(c) for c in left]), rtol=1e-4)
-        borders = np.cumsum([0, *(len(c) for c in left)])
-        for c, a, b in zip(left, borders[:-1], borders[1:], strict=True):
+    for run, draws, sd, s in zip(recordings, drawn, sds, scales, strict=True):
+        cov = run.covariances(s)
+        remaining = [c - fit @ c for c, fit in zip(cov, run.fits(cov), strict=True)]
+        np.testing.assert_allclose(
+            sd**2, np.concatenate([np.diag(c) for c in remaining]), rtol=1e-4
+        )
+        borders = np.cumsum([0, *(len(c) for c in remaining)])
+        for c, a, b in zip(remaining, borders[:-1], borders[1:], strict=True):
             block = draws[:, a:b]
             np.testing.assert_allclose(block.T @ block, c, atol=1e-4 * np.abs(c).max())
 
 
 def test_predicted_positions_start_where_torque_s_noise_would_have_it(runs):
-    made, likelihood = runs
+    recordings, likelihood = runs
     predicted = likelihood.predict(POINT[None])
-    for run, found in zip(made, predicted, strict=True):
+    for run, positions in zip(recordings, predicted, strict=True):
         # what the joint integrates, and next to nothing of the encoder's, which it leaves open
-        whole = [s + 1e-9 * np.trace(s) * np.eye(len(s)) for s, *_ in run.parts]
+        cov = [s + 1e-9 * np.trace(s) * np.eye(len(s)) for s, *_ in run.parts]
         expected = [
             x - e + fit @ e
-            for x, e, fit in zip(run.averaged, run.noise, run.fits(whole), strict=True)
+            for x, e, fit in zip(run.averaged, run.noise, run.fits(cov), strict=True)
         ]
-        np.testing.assert_allclose(found[0], np.concatenate(expected), atol=1e-6)
+        np.testing.assert_allclose(positions[0], np.concatenate(expected), atol=1e-6)
 
 
 def test_information_of_both_noises_is_that_of_a_normal_vector(runs):
-    made, likelihood = runs
+    recordings, likelihood = runs
     scales = SCALES[:2]
-    found = likelihood.noise_information(scales)
-    for run, s, one in zip(made, scales, found, strict=True):
+    information = likelihood.noise_information(scales)
+    for run, s, block in zip(recordings, scales, information, strict=True):
         exact = np.zeros((2, 2))
         for f, c, (*parts, _) in zip(run.free, run.covariances(s), run.parts, strict=True):
             inverse = np.linalg.inv(f.T @ c @ f)
             slopes = [inverse @ (f.T @ (2.0 * a * p) @ f) for a, p in zip(s, parts, strict=True)]
             exact += [[0.5 * np.trace(x @ y) for x in slopes] for y in slopes]
-        np.testing.assert_allclose(one, exact, rtol=1e-4)
+        np.testing.assert_allclose(block, exact, rtol=1e-4)
 
 
 def test_a_joint_that_sticks_stays_where_its_positions_have_it():
@@ -345,8 +327,8 @@ def test_a_joint_that_sticks_stays_where_its_positions_have_it():
     normal = stats.multivariate_normal(cov=1e-8 * np.eye(118))
     expected = sum(normal.logpdf(x @ free) for x in np.split(noise, 2))
     assert likelihood.log_density(point[None], scales)[0] == pytest.approx(expected, rel=1e-6)
-    (found,) = likelihood.predict(point[None])
-    for part, x in zip(np.split(found[0], 2), np.split(0.1 + noise, 2), strict=True):
+    (positions,) = likelihood.predict(point[None])
+    for part, x in zip(np.split(positions[0], 2), np.split(0.1 + noise, 2), strict=True):
         np.testing.assert_allclose(part[1:], x[1:].mean(), atol=1e-9)
 
 
@@ -357,22 +339,3 @@ def test_where_one_segment_runs_away_the_vector_is_impossible():
     t = replace(run.trajectory, torque=torque)
     likelihood = PositionLikelihood(LINEAR, [t], [], POINT)
     assert likelihood.log_density(POINT[None], SCALES[:1, None])[0] == -np.inf
-
-
-def test_torque_moves_a_joint_whose_losses_change_with_time_as_whole_simulations_say():
-    """From sample to sample at the samples' own times; so quickly do they change."""
-    term = Term("motor.flicker", lambda m: m.speed * (1.0 + np.sin(700.0 * m.time)), "N m s")
-    chain = Joint((Element("motor", inertia=True),), Load()).with_term(term)
-    point = chain.vector({"motor.inertia": 0.01, "motor.flicker": 1.0})
-    t = Run("short", ((3, 63),), 1, "linear", 0).trajectory
-    (run,) = PositionLikelihood(chain, [t], [], point)._runs
-    (found,) = run._by_torque(point)
-    for sample in (0, 1, 20, 58):
-        moved = []
-        for step in (1e-3, -1e-3):
-            torque = t.torque.copy()
-            torque[3 + sample] += step
-            other = Shooting(chain, [replace(t, torque=torque)], run.substeps)
-            moved.append(other.positions(point[None], run._states)[0])
-        expected = (moved[0] - moved[1]) / 2e-3
-        np.testing.assert_allclose(found[:, sample], expected, atol=1e-5 * np.abs(expected).max())

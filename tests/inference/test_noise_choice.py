@@ -1,51 +1,47 @@
-"""The order of the noise is found again, and what is left is tested."""
+"""The order of the noise is choice again, and what is left is tested."""
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from bayesfric.estimates.autoregression import (
-    burg,
-    long_run_variance,
-    simulated,
-)
+from bayesfric.estimates.autoregression import burg, long_run_variance, simulated
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import choose_noise, choose_order
 from bayesfric.inference.priors import read_prior
-from tests.axis import AXIS, VALUES
+from tests.axis import AXIS, VALUES, torque_columns
 from tests.inference.test_autoregression import covariance
 
 FOLLOWS = np.ones(2999, dtype=bool)
 FOLLOWS[[500, 501, 1700]] = False
 
 
-@pytest.mark.parametrize("own", [False, True])
+@pytest.mark.parametrize("per_recording", [False, True])
 @pytest.mark.parametrize("partial", [[], [0.6], [0.8, -0.5], [0.5, 0.3, -0.3]])
-def test_the_order_is_found_again(partial, own):
+def test_the_order_of_a_simulated_series_is_recovered(partial, per_recording):
     rng = np.random.default_rng(4)
     residuals = [0.1 * simulated(np.array(partial), FOLLOWS, 1, rng)[0] for _ in range(2)]
-    found = choose_order(residuals, [FOLLOWS, FOLLOWS], own)
-    assert found.order == max(len(partial), 1)
-    assert (found.evidence[found.order].bic < -6.0) == bool(partial)
+    choice = choose_order(residuals, [FOLLOWS, FOLLOWS], per_recording)
+    assert choice.order == max(len(partial), 1)
+    assert (choice.evidence[choice.order].bic < -6.0) == bool(partial)
     # what is open to the first where none is shown begins with none
-    assert partial or found.partial == (found.half_range,)
-    assert found.evidence[0].bic == 0.0
+    assert partial or choice.partial == (choice.half_range,)
+    assert choice.evidence[0].bic == 0.0
 
 
-def test_a_fit_keeps_to_the_memory_of_these_residuals_unless_the_user_says_another():
+def test_default_priors_are_restricted_to_the_autocorrelation_of_the_residuals():
     """Whose partial autocorrelations are known to one over the root of their number."""
     rng = np.random.default_rng(4)
     truth = np.array([0.8, -0.5])
     n = FOLLOWS.size + 1
-    found = choose_order([simulated(truth, FOLLOWS, 1, rng)[0]], [FOLLOWS], True)
-    assert np.abs(np.array(found.partial) - truth).max() < 3.3 / np.sqrt(n)
+    choice = choose_order([simulated(truth, FOLLOWS, 1, rng)[0]], [FOLLOWS], True)
+    assert np.abs(np.array(choice.partial) - truth).max() < 3.3 / np.sqrt(n)
     free = read_prior("noise.pacf_1", [-0.95, 0.95], lower=-1.0, upper=1.0, default=True)
-    own = read_prior("noise.pacf_2", [-0.1, 0.1], lower=-1.0, upper=1.0, default=False)
-    told = found.priors({"noise.pacf_1": free, "noise.pacf_2": own})
-    assert told["noise.pacf_2"] is own
-    assert told["noise.pacf_1"].default  # another estimate may say another
-    low, high = told["noise.pacf_1"].limits
-    assert low < found.partial[0] < high
+    second = read_prior("noise.pacf_2", [-0.1, 0.1], lower=-1.0, upper=1.0, default=False)
+    restricted = choice.priors({"noise.pacf_1": free, "noise.pacf_2": second})
+    assert restricted["noise.pacf_2"] is second
+    assert restricted["noise.pacf_1"].default  # another estimate may say another
+    low, high = restricted["noise.pacf_1"].limits
+    assert low < choice.partial[0] < high
     assert high - low == pytest.approx(2.0 / np.sqrt(n))
 
 
@@ -63,7 +59,7 @@ def closed_loop_like(seed, n=3000):
     return 5.0 * slow + 0.05 * rng.standard_normal(n), seen
 
 
-def test_a_memory_that_moves_the_estimate_is_refused():
+def test_an_autocorrelation_that_moves_the_estimate_is_refused():
     """With AR(1) near one the factor of 5 falls to next to nothing (errors in variables)."""
     torque, seen = closed_loop_like(1)
     factor = float(seen @ torque / (seen @ seen))
@@ -76,29 +72,31 @@ def test_a_memory_that_moves_the_estimate_is_refused():
     bound = choose_order([residual], [follows], True, effects=[5.0 * seen[:, None]])
     assert free.order == 4
     assert bound.order == 0
-    assert all(one.shift > 3.0 for one in bound.evidence[1:])
+    assert all(evidence.shift > 3.0 for evidence in bound.evidence[1:])
     # residuals rise with it, as much as the estimate moves
     assert bound.evidence[4].rise > 1.1
 
 
-def test_of_a_memory_without_evidence_the_first_is_open():
+def test_without_evidence_the_first_partial_autocorrelation_is_open():
     """From none to four standard errors beyond what residuals show."""
     rng = np.random.default_rng(3)
     follows = np.ones(199, dtype=bool)
     gains = []
     for _ in range(200):
         series = rng.standard_normal(200)
-        found = choose_order([series], [follows], True)
-        gains.append(min(one.bic for one in found.evidence))
+        choice = choose_order([series], [follows], True)
+        gains.append(min(evidence.bic for evidence in choice.evidence))
         if gains[-1] >= -6.0:
             shown = burg([series], [follows], 1)[0]
-            assert found.order == 1
-            assert found.partial[0] - found.half_range == 0.0
-            assert found.partial[0] + found.half_range == pytest.approx(shown + 4.0 / np.sqrt(200))
+            assert choice.order == 1
+            assert choice.partial[0] - choice.half_range == 0.0
+            assert choice.partial[0] + choice.half_range == pytest.approx(
+                shown + 4.0 / np.sqrt(200)
+            )
     assert min(gains) < 0.0  # some would have been taken for a memory that is known
 
 
-def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
+def test_an_open_autocorrelation_moves_the_estimate_by_less_than_a_sd():
     """By a sd, in dense generalised least squares; twice as far it would, or is not left open."""
     n, slow = 60, np.sin(np.arange(60) / 6.0)
     follows, held = np.ones(n - 1, dtype=bool), []
@@ -107,8 +105,8 @@ def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
         seen = slow + 0.3 * rng.standard_normal(n)  # the regressor, as it is measured
         residual = 0.6 * np.sin(np.arange(n) / 12.0) + rng.standard_normal(n)
         residual -= seen * (seen @ residual) / (seen @ seen)
-        found = choose_order([residual], [follows], True, effects=[50.0 * seen[:, None]])
-        if found.evidence[found.order].bic < -6.0:
+        choice = choose_order([residual], [follows], True, effects=[50.0 * seen[:, None]])
+        if choice.evidence[choice.order].bic < -6.0:
             continue
         x, y = seen / np.linalg.norm(seen), residual / np.sqrt(np.mean(residual**2))
         sd = np.sqrt(max(long_run_variance(x * y, np.arange(n)), 1.0))
@@ -117,7 +115,7 @@ def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
             inverse = np.linalg.inv(covariance(np.array([min(end, 0.95)]), n))
             return abs(x @ inverse @ y / (x @ inverse @ x)) / sd
 
-        end, most = 2.0 * found.half_range, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
+        end, most = 2.0 * choice.half_range, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
         assert moved(end) <= 1.0 + 1e-6
         held.append(end < 0.99 * most)
         assert held[-1] == (moved(most) > 1.0)
@@ -125,23 +123,23 @@ def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
     assert 3 < sum(held) < len(held) - 3
 
 
-@pytest.mark.parametrize("own", [False, True])
-def test_the_criterion_is_that_of_the_exact_density(own):
+@pytest.mark.parametrize("per_recording", [False, True])
+def test_the_criterion_is_that_of_the_exact_density(per_recording):
     """Multivariate normals of two runs each, their size at its estimate."""
     rng = np.random.default_rng(2)
     lengths, factors = (50, 40), (0.1, 0.3)
     follows = np.ones(sum(lengths) - 1, dtype=bool)
     follows[lengths[0] - 1] = False
     residuals = [s * simulated(np.array([0.6, -0.3]), follows, 1, rng)[0] for s in factors]
-    tried = choose_order(residuals, [follows, follows], own).evidence
+    evidence_of = choose_order(residuals, [follows, follows], per_recording).evidence
     n = 2 * sum(lengths)
 
     def deviance(order):
-        groups = [[r] for r in residuals] if own else [residuals]
+        groups = [[r] for r in residuals] if per_recording else [residuals]
         scaled = [r / np.sqrt(np.mean(np.square(g))) for g in groups for r in g]
         series = burg(scaled, [follows, follows], order)
         inverse = [np.linalg.inv(covariance(series, k)) for k in lengths]
-        total = -2.0 * sum(np.linalg.slogdet(one)[1] for one in inverse)
+        total = -2.0 * sum(np.linalg.slogdet(block)[1] for block in inverse)
         for group in groups:
             runs = [np.split(r, [lengths[0]]) for r in group]
             squares = sum(x @ w @ x for pair in runs for x, w in zip(pair, inverse, strict=True))
@@ -149,12 +147,12 @@ def test_the_criterion_is_that_of_the_exact_density(own):
             total += size * np.log(squares / size)
         return total + order * np.log(n)
 
-    for one in tried[1:]:
-        assert one.bic == pytest.approx(deviance(one.order) - deviance(0), abs=1e-8)
+    for evidence in evidence_of[1:]:
+        assert evidence.bic == pytest.approx(deviance(evidence.order) - deviance(0), abs=1e-8)
 
 
-@pytest.mark.parametrize("own", [False, True])
-def test_shift_and_rise_are_those_of_generalised_least_squares(own):
+@pytest.mark.parametrize("per_recording", [False, True])
+def test_shift_and_rise_are_those_of_generalised_least_squares(per_recording):
     """Of what residuals tell of orthogonal effects; one that they tell less of does not count."""
     rng = np.random.default_rng(11)
     lengths = (400, 200), (300, 1)
@@ -165,35 +163,35 @@ def test_shift_and_rise_are_those_of_generalised_least_squares(own):
         s * simulated(np.array([0.8]), f, 1, rng)[0]
         for s, f in zip((0.1, 0.4), joined, strict=True)
     ]
-    whole = np.concatenate(residuals)
-    parts = np.split(np.arange(whole.size), [residuals[0].size])
-    size = np.full(whole.size, np.sqrt(np.mean(whole**2)))
-    if own:
+    residual = np.concatenate(residuals)
+    parts = np.split(np.arange(residual.size), [residuals[0].size])
+    size = np.full(residual.size, np.sqrt(np.mean(residual**2)))
+    if per_recording:
         for p in parts:
-            size[p] = np.sqrt(np.mean(whole[p] ** 2))
-    time = np.arange(whole.size)
+            size[p] = np.sqrt(np.mean(residual[p] ** 2))
+    time = np.arange(residual.size)
     slow = np.stack([np.sin(0.02 * time), np.cos(0.3 * time), np.sin(2.0 * time)], axis=1)
     basis, _ = np.linalg.qr(slow)
     effects = size[:, None] * basis * [40.0, 4.0, 2.0]
-    found = choose_order(residuals, joined, own, [effects[p] for p in parts])
-    scaled, told = whole / size, basis[:, :2]
-    plain = told.T @ scaled
+    choice = choose_order(residuals, joined, per_recording, [effects[p] for p in parts])
+    scaled, informed = residual / size, basis[:, :2]
+    plain = informed.T @ scaled
     # runs are far apart, so that their scores are not correlated
-    places = np.arange(whole.size) + 1000 * np.repeat(np.arange(4), [400, 200, 300, 1])
+    places = np.arange(residual.size) + 1000 * np.repeat(np.arange(4), [400, 200, 300, 1])
     sds = [
         np.sqrt(max(long_run_variance(score, places), np.mean(scaled**2)))
-        for score in told.T * scaled
+        for score in informed.T * scaled
     ]
-    pieces = [whole[p] / size[p] for p in parts]
-    for one in found.evidence[1:]:
-        partial = burg(pieces, joined, one.order)
+    pieces = [residual[p] / size[p] for p in parts]
+    for evidence in choice.evidence[1:]:
+        partial = burg(pieces, joined, evidence.order)
         inverse = np.linalg.inv(
             block_diag(*(covariance(partial, k) for pair in lengths for k in pair))
         )
-        weighted = np.linalg.solve(told.T @ inverse @ told, told.T @ inverse @ scaled)
-        assert one.shift == pytest.approx(np.max(np.abs(weighted - plain) / sds), rel=1e-3)
-        left = [np.linalg.norm(scaled - told @ step) for step in (weighted, plain)]
-        assert one.rise == pytest.approx(left[0] / left[1], rel=1e-9)
+        weighted = np.linalg.solve(informed.T @ inverse @ informed, informed.T @ inverse @ scaled)
+        assert evidence.shift == pytest.approx(np.max(np.abs(weighted - plain) / sds), rel=1e-3)
+        left = [np.linalg.norm(scaled - informed @ step) for step in (weighted, plain)]
+        assert evidence.rise == pytest.approx(left[0] / left[1], rel=1e-9)
 
 
 def test_the_choice_at_an_estimate_is_that_of_its_residuals_and_of_prior_effects(make_observation):
@@ -202,26 +200,18 @@ def test_the_choice_at_an_estimate_is_that_of_its_residuals_and_of_prior_effects
     point = VALUES | {"motor.viscous": 0.2, "offset": 0.0}
     texts = {"motor.inertia": [0.0, 0.2], "load.first_moment": 0.3}
     priors = read_priors(AXIS, texts, observations)
-    columns = [
-        {
-            "motor.inertia": o.qdd,
-            "motor.viscous": o.qd,
-            "motor.coulomb": np.sign(o.qd),
-            "load.first_moment": 9.80665 * np.sin(o.q),
-            "offset": np.ones(o.q.size),
-        }
-        for o in observations
+    columns = [torque_columns(o.q, o.qd, o.qdd) for o in observations]
+    residuals = [
+        o.measured - x @ AXIS.vector(point) for o, x in zip(observations, columns, strict=True)
     ]
-    modelled = [sum(point[k] * x for k, x in by.items()) for by in columns]
-    residuals = [o.measured - m for o, m in zip(observations, modelled, strict=True)]
-    effects = [np.stack([by[k] * priors[k].sd() for k in AXIS.names], axis=1) for by in columns]
+    effects = [x * [priors[name].sd() for name in AXIS.names] for x in columns]
     joined = [np.ones(r.size - 1, dtype=bool) for r in residuals]
-    for own in (False, True):
-        found = choose_noise(AXIS, observations, priors, point, per_recording=own)
-        expected = choose_order(residuals, joined, own, effects)
-        assert found.order == expected.order
-        for one, other in zip(found.evidence, expected.evidence, strict=True):
-            assert vars(one) == pytest.approx(vars(other), rel=1e-3, abs=1e-6)
+    for per_recording in (False, True):
+        choice = choose_noise(AXIS, observations, priors, point, per_recording=per_recording)
+        expected = choose_order(residuals, joined, per_recording, effects)
+        assert choice.order == expected.order
+        for evidence, reference in zip(choice.evidence, expected.evidence, strict=True):
+            assert vars(evidence) == pytest.approx(vars(reference), rel=1e-3, abs=1e-6)
     fixed = AXIS.names.index("load.first_moment")
     assert priors["load.first_moment"].sd() == 0.0
     assert not any(e[:, fixed].any() for e in effects)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.output_error import Shooting
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.position_likelihood import PositionLikelihood
+from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.joint import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
+from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.trajectory import Trajectory
@@ -16,24 +18,41 @@ from bayesfric.recordings.trajectory import Trajectory
 KNEE = PRESETS["rabbit-knee"]
 
 
-def test_torque_moves_the_knee_as_whole_simulations_say(knee):
-    """Carried on from sample to sample, through reversals: the same as simulated to the end."""
-    chain, truth, likelihood = knee
+def assert_derivative(chain, point, likelihood, segment, sample, step):
+    """Carried on from sample to sample, it is that of whole simulations."""
     (run,) = likelihood._runs
-    shooting, torque, step = run._shooting, run._trajectory.torque, 1e-4
+    start, borders = run._trajectory.segments[segment, 0], run._shooting.borders
+    moved = []
+    for change in (step, -step):
+        torque = run._trajectory.torque.copy()
+        torque[start + sample] += change
+        shooting = Shooting(chain, [replace(run._trajectory, torque=torque)], run.substeps)
+        moved.append(shooting.positions(point[None], run._states)[0])
+    change = ((moved[0] - moved[1]) / (2.0 * step))[borders[segment] : borders[segment + 1]]
+    expected = change.reshape(-1, run._factor).mean(axis=1)
+    derivative = run._by_torque(point)[segment][:, sample]
+    np.testing.assert_allclose(derivative, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_torque_moves_a_joint_through_reversals_as_whole_simulations_say(knee):
     for sample in (700, 1250, 3010):
-        moved = []
-        for sign in (1.0, -1.0):
-            other = torque.copy()
-            other[sample] += sign * step
-            moved_to = replace(run._trajectory, torque=other)
-            simulated = Shooting(chain, [moved_to], shooting.substeps)
-            moved.append(simulated.positions(truth[None], run._states)[0])
-        change = (moved[0] - moved[1]) / (2.0 * step)
-        k, j = divmod(sample, 500)
-        expected = change[500 * k : 500 * (k + 1)].reshape(-1, run._factor).mean(axis=1)
-        derivative = run._by_torque(truth)[k][:, j]
-        np.testing.assert_allclose(derivative, expected, atol=1e-5 * np.abs(expected).max())
+        assert_derivative(*knee, *divmod(sample, 500), 1e-4)
+
+
+def test_torque_moves_a_joint_whose_losses_change_with_time_as_whole_simulations_say():
+    term = Term("motor.flicker", lambda m: m.speed * (1.0 + np.sin(700.0 * m.time)), "N m s")
+    chain = Joint((Element("motor", inertia=True),), Load()).with_term(term)
+    point = chain.vector({"motor.inertia": 0.01, "motor.flicker": 1.0})
+    time = 1.0 + 0.002 * np.arange(68)
+    torque, state = np.sin(0.3 * np.arange(68)), (np.array([0.11]), np.array([0.25]))
+    position = 0.11 + 0.25 * (time - time[3])
+    segments = np.array([(3, 63)])
+    t = Trajectory(
+        "t", time, position, torque, 0.002, segments, *state, inputs=Inputs(), hold="linear"
+    )
+    likelihood = PositionLikelihood(chain, [t], [], point)
+    for sample in (0, 1, 20, 58):
+        assert_derivative(chain, point, likelihood, 0, sample, 1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,12 @@ from scipy import stats
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.least_squares import TypicalSizes, typical_sizes
+from bayesfric.estimates.least_squares import typical_sizes
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
-from bayesfric.inference.priors import JointPrior, as_knowledge, default_prior, read_prior
+from bayesfric.inference.priors import as_knowledge, default_prior, read_prior
 from bayesfric.mechanism.joint import PRESETS
+from bayesfric.mechanism.quantities import TypicalSizes
 
 INF = math.inf
 
@@ -30,8 +31,6 @@ FAMILIES = [
     ({"distribution": "halfnorm", "scale": 0.5}, stats.halfnorm(scale=0.5)),
     ({"distribution": "halfnorm", "loc": 1.0, "scale": 0.5}, stats.halfnorm(1.0, 0.5)),
     ({"distribution": "lognorm", "s": 0.5, "scale": 2.0}, stats.lognorm(0.5, scale=2.0)),
-    ({"distribution": "lognorm", "s": 0.5, "loc": 0.3}, stats.lognorm(0.5, loc=0.3)),
-    ({"distribution": "loguniform", "a": 0.1, "b": 10.0}, stats.loguniform(0.1, 10.0)),
     ({"distribution": "loguniform", "a": 1e-3, "b": 10.0, "loc": 0.2, "scale": 2.0},
      stats.loguniform(1e-3, 10.0, 0.2, 2.0)),
     ({"distribution": "uniform", "loc": 1.0, "scale": 2.0}, stats.uniform(1.0, 2.0)),
@@ -48,7 +47,8 @@ def test_densities_and_draws_are_scipys_up_to_the_cut(text, reference):
     inside = x >= 0.0
     expected = reference.logpdf(x[inside]) - np.log(1.0 - reference.cdf(0.0))
     np.testing.assert_allclose(prior.log_density(x)[inside], expected, rtol=1e-12, atol=1e-12)
-    assert np.isneginf(prior.log_density(x)[~inside]).all()
+    outside = np.append(x[~inside], np.nan)
+    assert np.isneginf(prior.log_density(outside)).all()
     below = reference.cdf(0.0)
     draws = prior.draw(4000, np.random.default_rng(1))
     # fixed seed; the threshold is a one-in-ten-thousand event
@@ -170,28 +170,6 @@ def test_position_noise_may_be_as_small_as_the_encoder_resolves():
     assert prior.upper == 30.0
     smooth = SCALES["position"].read_prior({}, replace(sizes, position_step=0.0))
     assert smooth.lower == pytest.approx(1e-10 * sizes.position)
-
-
-PRIORS = [read_prior(f"p{i}", text, lower=0.0, upper=INF) for i, (text, _) in enumerate(FAMILIES)]
-
-
-@given(
-    st.lists(st.integers(0, len(PRIORS) - 1), min_size=1, max_size=12),
-    st.integers(0, 2**32 - 1),
-    st.sampled_from([0.1, 1.0, 10.0]),
-)
-def test_all_priors_at_once_are_the_product_of_each(chosen, seed, size):
-    priors = [PRIORS[i] for i in chosen]
-    rng = np.random.default_rng(seed)
-    x = size * rng.standard_normal((7, len(priors))) ** 2
-    x[3] = np.stack([p.draw(1, rng) for p in priors], axis=1)
-    x[4, 0] = -0.1
-    x[5] = [p.lower for p in priors]
-    x[6, -1] = math.nan
-    one_by_one = sum(p.log_density(x[:, j]) for j, p in enumerate(priors))
-    np.testing.assert_allclose(
-        JointPrior(priors).log_density(x), one_by_one, rtol=1e-12, atol=1e-10
-    )
 
 
 def test_a_point_estimate_takes_fixed_values_ranges_and_known_values(make_observation):

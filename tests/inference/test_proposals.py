@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.sampling.convergence import autocorrelation_time
-from bayesfric.inference.sampling.proposals import (
+from bayesfric.inference.posterior import autocorrelation_time
+from bayesfric.inference.proposals import (
     DifferentialEvolutionMove,
     IndependenceMove,
     MixedProposal,

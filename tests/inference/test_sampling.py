@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
-from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.inference.sampling.start import Start, climb, gauss_newton
+from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.start import Start, climb, gauss_newton
 from bayesfric.mechanism.joint import PRESETS
 
 AXIS = PRESETS["motor-axis"]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.sampling.sampling import TROUBLE, Sampling, sample
-from bayesfric.inference.sampling.start import Start
+from bayesfric.inference.sampling import TROUBLE, Sampling, sample
+from bayesfric.inference.start import Start
 
 NORMAL = Start(np.zeros(2), np.eye(2))
 SHORT = Sampling(seed=5, min_ess=300, max_steps=400, walkers=12, ensembles=2)

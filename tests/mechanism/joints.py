@@ -10,56 +10,46 @@ from bayesfric.mechanism.joint import PRESETS, Joint
 KNEE = PRESETS["rabbit-knee"]
 
 
-def everything() -> Joint:
-    """Build a chain with every term there is, two of them load-dependent."""
-    return Joint(
-        elements=(
-            Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
-            Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one"),
-            Element(
-                "gearbox",
-                ratio=30.0,
-                inertia=True,
-                coulomb="symmetric",
-                viscous=True,
-                stribeck=True,
-                load_loss="two",
-            ),
-            Element("joint", coulomb="by-direction", viscous=True, quadratic=True, stribeck=True),
+# every term there is, two of them load-dependent
+EVERYTHING = Joint(
+    (
+        Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
+        Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one"),
+        Element(
+            "gearbox", ratio=30.0, inertia=True, coulomb="symmetric", viscous=True, stribeck=True,
+            load_loss="two",
         ),
-        load=Load(inertia=True, first_moment=True, gravity_angle=True),
-        offset=True,
-        gain=True,
-    )
+        Element("joint", coulomb="by-direction", viscous=True, quadratic=True, stribeck=True),
+    ),
+    Load(inertia=True, first_moment=True, gravity_angle=True),
+    offset=True,
+    gain=True,
+)  # fmt: skip
+EVERYTHING_VALUES = {
+    "motor.inertia": 0.0002, "motor.viscous": 0.001, "motor.coulomb_positive": 0.03,
+    "motor.coulomb_negative": 0.04, "motor.quadratic": 1e-06, "belt.coulomb": 0.01,
+    "belt.load": 0.05, "gearbox.inertia": 0.0003, "gearbox.viscous": 0.002,
+    "gearbox.coulomb": 0.05, "gearbox.stribeck_ratio": 0.4, "gearbox.stribeck_velocity": 3.0,
+    "gearbox.load_drive": 0.25, "gearbox.load_back": 0.35, "joint.viscous": 1.0,
+    "joint.coulomb_positive": 1.5, "joint.coulomb_negative": 1.2, "joint.quadratic": 0.3,
+    "joint.stribeck_ratio": 0.5, "joint.stribeck_velocity": 0.2, "load.inertia": 0.5,
+    "load.first_moment": 1.0, "load.gravity_angle": 0.3, "offset": 0.02, "drive.gain": 1.1,
+}  # fmt: skip
 
 
-EVERYTHING = {
-    "motor.inertia": 2e-4,
-    "motor.viscous": 1e-3,
-    "motor.coulomb_positive": 0.03,
-    "motor.coulomb_negative": 0.04,
-    "motor.quadratic": 1e-6,
-    "belt.coulomb": 0.01,
-    "belt.load": 0.05,
-    "gearbox.inertia": 3e-4,
-    "gearbox.viscous": 2e-3,
-    "gearbox.coulomb": 0.05,
-    "gearbox.stribeck_ratio": 0.4,
-    "gearbox.stribeck_velocity": 3.0,
-    "gearbox.load_drive": 0.25,
-    "gearbox.load_back": 0.35,
-    "joint.viscous": 1.0,
-    "joint.coulomb_positive": 1.5,
-    "joint.coulomb_negative": 1.2,
-    "joint.quadratic": 0.3,
-    "joint.stribeck_ratio": 0.5,
-    "joint.stribeck_velocity": 0.2,
-    "load.inertia": 0.5,
-    "load.first_moment": 1.0,
-    "load.gravity_angle": 0.3,
-    "offset": 0.02,
-    "drive.gain": 1.1,
-}
+def thetas(chain, v):
+    """Theta1 and Theta2 exactly as listed under eq. (13), with g in theta5 and theta10."""
+    n, g = chain.ratio, chain.load.gravity
+    by_alpha = np.array([1.0 + v["gearbox.load_drive"], 1.0 - v["gearbox.load_back"]])
+    lambda_1, lambda_2 = by_alpha.mean(), (by_alpha[0] - by_alpha[1]) / 2
+    plus = (v["joint.coulomb_positive"] + v["joint.coulomb_negative"]) / (2 * n)
+    minus = (v["joint.coulomb_positive"] - v["joint.coulomb_negative"]) / (2 * n)
+    first, second = v["load.inertia"] / n**2, v["joint.viscous"] / n**2
+    leg = np.array([first, second, plus, minus, g * v["load.first_moment"] / n])
+    positive, negative = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
+    constant = (positive + negative) / 2, (positive - negative) / 2
+    motor = np.array([v["motor.inertia"], v["motor.viscous"], *constant, 0.0])
+    return motor + lambda_1 * leg, lambda_2 * leg
 
 
 def carried_to_motor(elements, torque, sign, speed, acceleration) -> float:

@@ -10,7 +10,7 @@ from bayesfric.mechanism.forward import follow, simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Law
-from tests.mechanism.joints import EVERYTHING, GEARED, KNEE, LIGHT, everything
+from tests.mechanism.joints import EVERYTHING, EVERYTHING_VALUES, GEARED, KNEE, LIGHT
 
 PERIOD = 0.004
 N = 500
@@ -41,7 +41,7 @@ def test_position_control_is_an_oscillator():
 
 
 CHAINS = {
-    "everything": (everything(), EVERYTHING, 0.5),
+    "everything": (EVERYTHING, EVERYTHING_VALUES, 0.5),
     "knee": (KNEE.chain(), KNEE.values, 0.8),
     "geared": (GEARED, LIGHT, 0.2),
 }

@@ -11,19 +11,9 @@ from bayesfric.mechanism.joint import PRESETS, Joint
 
 def test_what_is_told_by_direction_makes_every_total_of_its_kind_so():
     """Motor torque per steady speed, each way: the element without directions is in both."""
-    chain = Joint(
-        (
-            Element("motor", viscous=True),
-            Element("gearbox", ratio=5.0),
-            Element("joint", viscous="by-direction"),
-        ),
-    )
-    values = {
-        "motor.viscous": 0.02,
-        "joint.viscous_positive": 0.5,
-        "joint.viscous_negative": 1.5,
-    }
-    x = chain.vector(values)
+    parts = Element("motor", viscous=True), Element("gearbox", ratio=5.0)
+    chain = Joint((*parts, Element("joint", viscous="by-direction")))
+    x = np.array([0.02, 0.5, 1.5])
     totals = {d.name: float(d.values[0]) for d in derive(chain, x[None], 1.0)}
     for way, name in ((1.0, "positive"), (-1.0, "negative")):
         torque = inverse_torque(chain, x, [0.0], [way * 2.0 / chain.ratio], [0.0])
@@ -39,11 +29,11 @@ def test_what_an_angle_turns_has_a_size_of_another_name_than_its_sine_part(angle
         Load(first_moment=True, gravity_angle=True),
     )
     x = chain.vector({"load.first_moment": 3.0, "load.gravity_angle": angle})
-    found = {d.name: d for d in derive(chain, x[None], 1.0)}
+    totals = {d.name: d.values[0] for d in derive(chain, x[None], 1.0)}
     still = np.zeros(2)
     cosine, sine = inverse_torque(chain, x, np.array([0.0, 0.5 * np.pi]), still, still)
-    assert found["total.gravity_size"].values[0] == pytest.approx(np.hypot(sine, cosine), rel=1e-12)
-    assert "total.gravity" not in found
+    assert totals["total.gravity_size"] == pytest.approx(np.hypot(sine, cosine), rel=1e-12)
+    assert "total.gravity" not in totals
 
 
 @pytest.mark.parametrize("loss", ["one", "two"])
@@ -58,15 +48,15 @@ def test_an_efficiency_counts_what_grows_with_the_torque(loss):
     values["load.first_moment"] = 2.0
     x = chain.vector({name: values[name] for name in chain.names})
     weight = 2.0 * STANDARD_GRAVITY
-    found = {d.name: d for d in derive(chain, x[None], weight)}
+    derived = {d.name: d.values[0] for d in derive(chain, x[None], weight)}
     lifts, lowers = inverse_torque(
         chain, x, np.array([0.5, 0.5]) * np.pi, np.array([1e-9, -1e-9]), np.zeros(2)
     )
-    drive, back = (found[f"gearbox.efficiency_{side}"].values[0] for side in ("drive", "back"))
+    drive, back = (derived[f"gearbox.efficiency_{side}"] for side in ("drive", "back"))
     assert drive == pytest.approx(weight / (6.0 * lifts), rel=1e-9)
     assert back == pytest.approx(6.0 * lowers / weight, rel=1e-9)
-    # one total there is not: what is felt of the inertia depends on the weight
-    assert not [name for name in found if name.startswith("total")]
+    # there is no total: what the motor feels of the inertia depends on the weight
+    assert not [name for name in derived if name.startswith("total")]
 
 
 def test_inertia_is_unseen_where_the_load_loss_does_not_change_with_it():

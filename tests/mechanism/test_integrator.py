@@ -8,7 +8,10 @@ from bayesfric.mechanism.experiment import current_loop, square
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Inputs
-from tests.mechanism.joints import EVERYTHING, KNEE, axis, everything, signal
+from tests.mechanism.joints import EVERYTHING, EVERYTHING_VALUES, KNEE, axis, signal
+
+CHAIN = KNEE.chain()
+VALUES = CHAIN.vector(KNEE.values)
 
 
 def interrupted(period, seconds):
@@ -19,22 +22,18 @@ def interrupted(period, seconds):
     return current_loop(command, period, 5e-3)
 
 
-def convergence(chain, vector, torque, period, steps, **options):
-    """Return the finest run as reference, and by how much each halving shrinks the error."""
-    runs = {
-        n: simulate(chain, vector, torque, period, substeps=n, **options)
-        for n in (*steps, 8 * steps[-1])
-    }
-    reference = runs[8 * steps[-1]]
-    errors = np.array([np.abs(runs[n].q - reference.q).max() for n in steps])
-    return reference, errors[:-1] / errors[1:]
-
-
 @pytest.mark.parametrize(
     ("chain", "values", "period", "steps", "scale", "options"),
     [
         (KNEE.chain(), KNEE.values, 5e-3, (1, 2, 4, 8), 1.0, {}),
-        (everything(), EVERYTHING, 2e-3, (4, 8, 16), 0.8, {"inputs": Inputs(1.0, 0.4), "q0": 0.3}),
+        (
+            EVERYTHING,
+            EVERYTHING_VALUES,
+            2e-3,
+            (4, 8, 16),
+            0.8,
+            {"inputs": Inputs(1.0, 0.4), "q0": 0.3},
+        ),
     ],
     ids=["knee", "everything"],
 )
@@ -42,7 +41,14 @@ def test_error_falls_with_the_fourth_power_of_the_step(
     chain, values, period, steps, scale, options
 ):
     torque = scale * interrupted(period, 5.0 if chain.made_from else 3.0)
-    last, ratios = convergence(chain, chain.vector(values), torque, period, steps, **options)
+    values = chain.vector(values)
+    runs = {
+        n: simulate(chain, values, torque, period, substeps=n, **options)
+        for n in (*steps, 8 * steps[-1])
+    }
+    last = runs[8 * steps[-1]]
+    errors = np.array([np.abs(runs[n].q - last.q).max() for n in steps])
+    ratios = errors[:-1] / errors[1:]
     # kinks: more events than stops and breakaways can explain
     starts = np.sum(np.diff(last.sticking.astype(int)) == -1)
     assert last.reversals >= 3
@@ -52,26 +58,24 @@ def test_error_falls_with_the_fourth_power_of_the_step(
 
 
 def test_default_substeps_meet_the_tolerance():
-    chain = KNEE.chain()
-    vector = chain.vector(KNEE.values)
     torque = interrupted(5e-3, 5.0)
-    fine = simulate(chain, vector, torque, 5e-3, substeps=64)
-    coarse = simulate(chain, vector, torque, 5e-3, tolerance=1e-6)
+    fine = simulate(CHAIN, VALUES, torque, 5e-3, substeps=64)
+    coarse = simulate(CHAIN, VALUES, torque, 5e-3, tolerance=1e-6)
     assert coarse.substeps < 64
     assert np.abs(coarse.q - fine.q).max() < 1e-7
     assert coarse.step_error < 1e-7
-    capped = simulate(chain, vector, torque, 5e-3, tolerance=0.0)
+    capped = simulate(CHAIN, VALUES, torque, 5e-3, tolerance=0.0)
     assert capped.substeps == 64
 
 
-def varied(**changes):
-    return KNEE.chain().vector({**KNEE.values, **changes})
+def varied(name, value):
+    return CHAIN.vector(KNEE.values | {name: value})
 
 
-def test_many_marks_what_cannot_move():
-    rows = [varied(), varied(**{"gearbox.load_back": 8.0}), varied(**{"motor.viscous": -1.0})]
+def test_vectors_without_a_motion_are_nan():
+    rows = [VALUES, varied("gearbox.load_back", 8.0), varied("motor.viscous", -1.0)]
     start = np.zeros((3, 1))
-    q, _ = simulate_segments(KNEE.chain(), rows, signal(1e-2), 1e-2, [(0, 121)], start, start)
+    q, _ = simulate_segments(CHAIN, rows, signal(1e-2), 1e-2, [(0, 121)], start, start)
     np.testing.assert_array_equal(np.isnan(q).all(axis=1), [False, True, True])
     assert np.all(np.isfinite(q[0]))
     torque = np.full(1001, 10.0)
@@ -80,19 +84,16 @@ def test_many_marks_what_cannot_move():
     assert np.all(np.isnan(away[0, 20:]))
 
 
-GAIN = Joint(axis().elements, Load(), gain=True)
-
-
 @pytest.mark.parametrize(
     ("chain", "values", "torque", "match"),
     [
-        (KNEE.chain(), varied(**{"motor.inertia": np.nan}), 0.0, "motor.inertia"),
-        (KNEE.chain(), varied(**{"joint.viscous": -1.0}), 0.0, "joint.viscous"),
-        (KNEE.chain(), varied(**{"gearbox.load_back": 8.0}), 0.0, "irreversible gearbox"),
-        (KNEE.chain(), varied(**{"motor.inertia": 0, "load.inertia": 0}), 0.0, "no inertia"),
-        (KNEE.chain(), varied(), np.inf, "torque, q0 and qd0 must be finite"),
+        (CHAIN, varied("motor.inertia", np.nan), 0.0, "motor.inertia"),
+        (CHAIN, varied("joint.viscous", -1.0), 0.0, "joint.viscous"),
+        (CHAIN, varied("gearbox.load_back", 8.0), 0.0, "irreversible gearbox"),
+        (axis(), [0.0], 0.0, "no inertia"),
+        (CHAIN, VALUES, np.inf, "torque, q0 and qd0 must be finite"),
         (axis(), [1e-3], 10.0, "runs away"),
-        (GAIN, [1.0, 0.0], 0.0, "greater than zero"),
+        (Joint(axis().elements, Load(), gain=True), [1.0, 0.0], 0.0, "greater than zero"),
     ],
 )
 def test_what_has_no_motion_is_refused(chain, values, torque, match):
@@ -111,11 +112,6 @@ def test_single_sample_and_sliding_load():
     np.testing.assert_allclose(moved.q[-1], 0.25, rtol=1e-13)
 
 
-# -- simulations that start anew in every segment
-
-
-CHAIN = KNEE.chain()
-VALUES = CHAIN.vector(KNEE.values)
 TIME = np.arange(600) * 1e-3
 TORQUE = 0.8 * np.sign(np.sin(2 * np.pi * 4.0 * TIME + 0.1))
 
@@ -133,8 +129,10 @@ def test_each_segment_is_a_simulation_of_its_own():
     assert np.isnan(out[0, outside]).all()
 
 
-def test_segments_hold_a_torque_alike():
-    given = VALUES[None], TORQUE, 1e-3, [(0, 600)], [0.0], [0.0]
-    (q,), _ = simulate_segments(CHAIN, *given, hold="cubic", substeps=8)
-    alone = simulate(CHAIN, VALUES, TORQUE, 1e-3, hold="cubic", substeps=8)
+@pytest.mark.parametrize("hold", ["zero", "cubic"])
+def test_segments_hold_a_torque_alike(hold):
+    (q,), _ = simulate_segments(
+        CHAIN, VALUES[None], TORQUE, 1e-3, [(0, 600)], [0.0], [0.0], hold=hold, substeps=8
+    )
+    alone = simulate(CHAIN, VALUES, TORQUE, 1e-3, hold=hold, substeps=8)
     np.testing.assert_array_equal(q, alone.q)

@@ -11,6 +11,7 @@ from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
+from tests.mechanism.joints import thetas
 
 positive = st.floats(1e-3, 10.0)
 
@@ -25,42 +26,18 @@ def table_3():
     return chain, chain.vector(PRESETS["rabbit-knee"].values)
 
 
-def thetas(chain, v):
-    """Theta1 and Theta2 exactly as listed under eq. (13), with g in theta5 and theta10."""
-    n, g = chain.ratio, chain.load.gravity
-    alpha_1 = 1.0 / (1.0 + v["gearbox.load_drive"])
-    alpha_2 = 1.0 / (1.0 - v["gearbox.load_back"])
-    lambda_1 = (1 / alpha_1 + 1 / alpha_2) / 2
-    lambda_2 = (1 / alpha_1 - 1 / alpha_2) / 2
-    plus = (v["joint.coulomb_positive"] + v["joint.coulomb_negative"]) / (2 * n)
-    minus = (v["joint.coulomb_positive"] - v["joint.coulomb_negative"]) / (2 * n)
-    first, second = v["load.inertia"] / n**2, v["joint.viscous"] / n**2
-    leg = np.array([first, second, plus, minus, g * v["load.first_moment"] / n])
-    positive, negative = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
-    constant = (positive + negative) / 2, (positive - negative) / 2
-    motor = np.array([v["motor.inertia"], v["motor.viscous"], *constant, 0.0])
-    return motor + lambda_1 * leg, lambda_2 * leg
-
-
-def regressors(chain, q, qd, qdd):
-    n = chain.ratio
-    return np.stack([n * qdd, n * qd, np.sign(qd), np.ones_like(q), np.sin(q)], axis=1)
-
-
-def by_eq_13(chain, x, q, qd, qdd):
-    theta_1, theta_2 = thetas(chain, dict(zip(chain.names, x, strict=True)))
-    psi = regressors(chain, q, qd, qdd)
-    return psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
-
-
 @settings(max_examples=50, deadline=None)
 @given(st.lists(positive, min_size=11, max_size=11), st.floats(0.0, 0.99))
 def test_the_knee_is_eq_13(values, back):
     chain, _ = table_3()
     x = np.array(values)
     x[chain.names.index("gearbox.load_back")] = back
-    expected = by_eq_13(chain, x, *motion(50))
-    torque = inverse_torque(chain, x, *motion(50))
+    q, qd, qdd = motion(50)
+    theta_1, theta_2 = thetas(chain, dict(zip(chain.names, x, strict=True)))
+    n = chain.ratio
+    psi = np.stack([n * qdd, n * qd, np.sign(qd), np.ones_like(q), np.sin(q)], axis=1)
+    expected = psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
+    torque = inverse_torque(chain, x, q, qd, qdd)
     assert np.abs(torque - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
@@ -89,19 +66,11 @@ def test_efficiencies_of_eq_4_and_irreversibility():
     assert np.isnan(back[2])  # 1 - 0.9 - 0.2 < 0: irreversible
 
 
-def prismatic(nu, d, a, b, pull):
-    """Section 2.3 from statics: block of length d, force Te at offset a, Ts at offset b.
-
-    The two contacts carry N = (a Te + b Ts)/d each; friction is 2 nu N. Solves
-    Te for a given Ts at constant speed; ``pull`` is the direction of motion.
-    """
-    if a == 0.0:
-        return pull + 2 * nu * b * abs(pull) / d * np.sign(pull)
-    # Te = Ts + 2 nu a Te / d
-    return pull / (1.0 - 2 * nu * a / d)
-
-
 def test_the_prismatic_joint_of_section_2_3():
+    """From statics: a block of length d, pushed in its line, with a force Ts at offset b.
+
+    The two contacts carry b Ts/d each, with friction nu: in all 2 nu b Ts/d.
+    """
     nu, d, b = 0.15, 0.2, 0.06
     mu = 2 * nu * b / d
     chain = Joint(
@@ -111,20 +80,10 @@ def test_the_prismatic_joint_of_section_2_3():
     mass = 2.0
     for speed, acceleration in ((1.0, 3.0), (-1.0, -3.0)):  # the input drives
         force = float(inverse_torque(chain, [mu, mass], [0.0], [speed], [acceleration])[0])
-        assert force == pytest.approx(prismatic(nu, d, 0.0, b, mass * acceleration))
         assert mass * acceleration / force == pytest.approx(1.0 / (1.0 + mu))  # eta_m, case 1
     # the output drives: eta_r = 1 - mu
     braked = float(inverse_torque(chain, [mu, mass], [0.0], [1.0], [-3.0])[0])
     assert braked / (mass * -3.0) == pytest.approx(1.0 - mu)
-    # case 1 is the one whose driving efficiency exceeds the back-driving one
-    assert 1.0 / (1.0 + mu) > 1.0 - mu
-
-
-def test_no_direction_no_dry_friction_at_rest():
-    chain, x = table_3()
-    v = dict(zip(chain.names, x, strict=True))
-    torque = float(inverse_torque(chain, x, [0.3], [0.0], [0.0])[0])
-    assert torque == pytest.approx(9.80665 * v["load.first_moment"] * np.sin(0.3) / 50.0)
 
 
 def test_a_known_added_mass_is_that_much_more_load():
@@ -142,9 +101,11 @@ def test_a_known_added_mass_is_that_much_more_load():
     )
     expected = heavier["load.inertia"] * qdd
     expected += 9.80665 * heavier["load.first_moment"] * np.sin(q)
-    np.testing.assert_allclose(
-        load_torque(chain, x, q, qdd, Inputs(2.0, 0.35), np.zeros(100)), expected
-    )
+    of_load = load_torque(chain, x, q, qdd, Inputs(2.0, 0.35), np.zeros(100))
+    np.testing.assert_allclose(of_load, expected)
+    # where nothing moves there is no direction, and no dry friction
+    still = inverse_torque(chain, x, [0.3], [0.0], [0.0])
+    assert still == pytest.approx(9.80665 * v["load.first_moment"] * np.sin(0.3) / 50.0)
 
 
 def test_totals_are_theta1_plus_and_minus_theta2():

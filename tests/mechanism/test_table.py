@@ -16,12 +16,11 @@ from bayesfric.mechanism.quantities import (
     CYCLES,
     QUANTITIES,
     TOTALS,
-    Sizes,
     State,
+    TypicalSizes,
     scales_with_torque,
     turned,
 )
-from bayesfric.mechanism.scaling import scalings
 from tests.mechanism.joints import KNEE
 
 UNITS = pint.UnitRegistry()
@@ -56,12 +55,12 @@ def unit_of(text):
     return UNITS.Unit(text) if text else UNITS.dimensionless
 
 
-def grows(found, base, factor):
+def grows(scaled, base, factor):
     """The power of a factor that a column grows with; nothing where there is none."""
     shown = np.abs(base) > 1e-12
-    if (found[shown] * base[shown] <= 0.0).any():
+    if (scaled[shown] * base[shown] <= 0.0).any():
         return None
-    powers = np.log(found[shown] / base[shown]) / math.log(factor)
+    powers = np.log(scaled[shown] / base[shown]) / math.log(factor)
     return round(float(powers.mean()), 6) if np.ptp(powers) < 1e-9 else None
 
 
@@ -74,10 +73,8 @@ def moved(state, r):
 @pytest.mark.parametrize("name", SIMPLE)
 def test_a_power_is_how_the_column_grows_with_the_motion(name):
     row, base = SIMPLE[name], states()
-    if row.shape or row.signal:
-        assert row.power is None
-        return
-    assert row.power == grows(column(row, moved(base, 1.7)), column(row, base), 1.7)
+    power = grows(column(row, moved(base, 1.7)), column(row, base), 1.7)
+    assert row.power == (None if row.shape or row.signal else power)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -97,12 +94,10 @@ def test_a_unit_times_its_column_is_a_torque(name, motion):
             speed=base.speed / 2.0, acceleration=base.acceleration / 4.0, time=2.0 * base.time
         )
         if row.shape == "warming_time":  # it takes twice as many of seconds half as long
-            made = row.column(slower, 1.4)
-        elif name == "power":  # told at a speed of one
-            made = column(row, base)
-        else:
-            made = column(row, slower)
-        known = UNITS.second ** grows(made, column(row, base), 2.0)
+            scaled = row.column(slower, 1.4)
+        else:  # a power is given at a speed of one
+            scaled = column(row, base if name == "power" else slower)
+        known = UNITS.second ** grows(scaled, column(row, base), 2.0)
         if motion == "linear" and name != "power" and not any(x in name for x in ("sin", "cos")):
             known *= UNITS.metre ** grows(column(row, moved(base, 2.0)), column(row, base), 2.0)
         if row.signal == "temperature":
@@ -113,16 +108,16 @@ def test_a_unit_times_its_column_is_a_torque(name, motion):
 
 
 def sizes(motion, force, metre, second):
-    """Sizes in units of which one is so many of the SI's, all else alike."""
+    """TypicalSizes in units of which one is so many of the SI's, all else alike."""
     angle = metre if motion == "linear" else 1.0
     effort = force if motion == "linear" else force * metre
-    return Sizes(
+    return TypicalSizes(
         3.0 * effort,
         2.0 * angle / second,
         7.0 * angle / second**2,
         9.8 * metre / second**2,
-        0.6,
-        20.0 * second,
+        lean=0.6,
+        duration=20.0 * second,
     )
 
 
@@ -185,16 +180,16 @@ def test_totals_that_are_positive_are_so_in_any_joint_that_loses_energy(make_obs
     )
     chain = Joint(parts, Load(inertia=True, first_moment=True, gravity_angle=True), offset=True)
     rng = np.random.default_rng(4)
-    signs: dict[str, set[float]] = {}
+    signs = {}
     for seed in range(8):
         values = dict(zip(chain.names, rng.uniform(0.05, 1.0, len(chain.names)), strict=True))
         values |= {"load.gravity_angle": rng.uniform(-3, 3), "offset": rng.normal()}
         o = make_observation(chain, values, sigma=0.0, n=400, seed=seed, amplitude=2.0)
-        for found in least_squares(chain, [o]).values:
-            signs.setdefault(found.quantity, set()).add(np.sign(found.value))
+        for total in least_squares(chain, [o]).values:
+            signs.setdefault(total.quantity, set()).add(np.sign(total.value))
     assert set(signs) == set(TOTALS) - {"difference", "added_load"}
-    for name, found in signs.items():
-        assert (TOTALS[name].lower == 0.0) == (found == {1.0}), name
+    for name, values in signs.items():
+        assert (TOTALS[name].lower == 0.0) == (values == {1.0}), name
     assert TOTALS["added_load"].lower == 0.0  # one over alpha
 
 
@@ -222,7 +217,7 @@ def test_a_total_is_what_the_motor_feels_of_all_its_parts(side, way, lossy):
     lifts = way if side == "drive" else -way
     q, qd, qdd = np.array([0.5 * np.pi * lifts]), np.array([0.02 * way]), np.array([0.05])
     n = chain.ratio
-    found = {d.name: d for d in derive(chain, chain.vector(x)[None], 1.0)}
+    totals = {d.name: d for d in derive(chain, chain.vector(x)[None], 1.0)}
     direction = "positive" if way > 0 else "negative"
     felt = {
         "inertia": ("inertia", n * qdd[0]),
@@ -234,59 +229,31 @@ def test_a_total_is_what_the_motor_feels_of_all_its_parts(side, way, lossy):
     whole = inverse_torque(chain, chain.vector(x), q, qd, qdd)[0]
     for total, (kind, state) in felt.items():
         # what remains of the weight keeps the side
-        kept = 0.5 if kind == "first_moment" else 0.0
-        less = {k: v * (kept if f".{kind}" in k else 1.0) for k, v in x.items()}
+        rest = 0.5 if kind == "first_moment" else 0.0
+        less = {k: v * (rest if f".{kind}" in k else 1.0) for k, v in x.items()}
         without = inverse_torque(chain, chain.vector(less), q, qd, qdd)[0]
-        seen = (whole - without) / state / (1.0 - kept)
-        one = found[f"total_{side}.{total}" if lossy else f"total.{total}"]
-        assert one.values[0] == pytest.approx(seen, rel=1e-7), total
-        assert one.gauge_free
+        seen = (whole - without) / state / (1.0 - rest)
+        derived = totals[f"total_{side}.{total}" if lossy else f"total.{total}"]
+        assert derived.values[0] == pytest.approx(seen, rel=1e-7), total
+        assert derived.gauge_free
 
 
-def test_a_gearbox_that_loses_nothing_has_no_ratio_of_lambdas():
+def test_what_a_gearbox_does_not_have_is_nan():
+    """Without losses no ratio of lambdas; where mu_2 is one, all power that comes back is lost."""
     chain = KNEE.chain()
-    lossless = chain.vector(KNEE.values | {"gearbox.load_drive": 0.0, "gearbox.load_back": 0.0})
-    found = {d.name: d.values for d in derive(chain, np.stack([lossless, lossless + 0.1]), 1.0)}
-    assert np.isnan(found["gearbox.lambda_ratio"]).tolist() == [True, False]
-    assert found["gearbox.lambda_1"] == pytest.approx([1.0, 1.0])
-    assert found["gearbox.lambda_2"] == pytest.approx([0.0, 0.1])
-    # power that comes back is lost whole where mu_2 is one
-    irreversible = chain.vector(KNEE.values | {"gearbox.load_back": 1.0})
-    found = {d.name: d.values for d in derive(chain, irreversible[None], 1.0)}
-    assert np.isnan(found["gearbox.alpha_back"][0])
+    losses = {"gearbox.load_drive": np.array([0.0, 0.1, 0.1])}
+    losses |= {"gearbox.load_back": np.array([0.0, 0.1, 1.0])}
+    vectors = chain.vector({name: np.full(3, x) for name, x in KNEE.values.items()} | losses)
+    derived = {d.name: d.values for d in derive(chain, vectors, 1.0)}
+    assert np.isnan(derived["gearbox.lambda_ratio"]).tolist() == [True, False, False]
+    assert derived["gearbox.lambda_1"][:2] == pytest.approx([1.0, 1.0])
+    assert derived["gearbox.lambda_2"][:2] == pytest.approx([0.0, 0.1])
+    assert np.isnan(derived["gearbox.alpha_back"]).tolist() == [False, False, True]
 
 
-def test_an_angle_is_turned_to_the_nearest_of_its_turns():
+@pytest.mark.parametrize("towards", [0.0, 2.0, -9.0])
+def test_an_angle_is_turned_to_the_nearest_of_its_turns(towards):
     angles = np.linspace(-20.0, 20.0, 400)
-    for towards in (0.0, 2.0, -9.0):
-        found = turned(angles, towards)
-        assert (np.abs(found - towards) <= np.pi + 1e-12).all()
-        np.testing.assert_allclose(np.sin(found), np.sin(angles), atol=1e-12)
-        np.testing.assert_allclose(np.cos(found), np.cos(angles), atol=1e-12)
-
-
-def test_a_scaling_reaches_what_it_says_and_its_tangent_is_its_derivative():
-    chain = KNEE.chain()
-    values = chain.vector(KNEE.values)
-    for mass in (0.0, 0.5):
-        (scaling,) = scalings(chain, 0.3 * mass, mass)
-        ends = scaling.bounds(values)
-        for factor in (0.9, 1.2):
-            there = scaling.scaled(values, factor)
-            for name in scaling.names:
-                reached = scaling.factor_to(values, name, there[chain.names.index(name)])
-                assert reached == pytest.approx(factor, rel=1e-12)
-            back = scaling.scaled(there, 1.0 / factor)
-            np.testing.assert_allclose(back, values, rtol=1e-12)
-            assert np.divide(*scaling.bounds(there)) == pytest.approx(np.divide(*ends))
-        slope = (
-            scaling.scaled(values, np.exp(1e-6)) - scaling.scaled(values, np.exp(-1e-6))
-        ) / 2e-6
-        np.testing.assert_allclose(scaling.tangent(values), slope, rtol=1e-7, atol=1e-12)
-        assert scaling.middle(values) == pytest.approx(np.sqrt(ends[0] * ends[1]))
-        # limits of a parameter narrow it to where that stands on them
-        at = KNEE.values["load.inertia"]
-        low, high = scaling.bounds(values, {"load.inertia": (0.9 * at, 1.1 * at)})
-        for end, wanted in ((low, 0.9 * at), (high, 1.1 * at)):
-            moment = scaling.scaled(values, end)[chain.names.index("load.inertia")]
-            assert moment == pytest.approx(wanted) or end in ends
+    nearest = turned(angles, towards)
+    assert (np.abs(nearest - towards) <= np.pi + 1e-12).all()
+    np.testing.assert_allclose(np.exp(1j * nearest), np.exp(1j * angles), atol=1e-12)

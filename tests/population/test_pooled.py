@@ -1,16 +1,19 @@
 """Recordings that differ in one parameter: their posterior, closed forms, and refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 import bayesfric as bf
-from bayesfric.diagnostics.explanation import Explanation, Finding
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.fit.model import Model
-from bayesfric.inference.discrepancy import Discrepancy, Missing
-from bayesfric.inference.priors import JointPrior
+from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.population.joint_runs import JointTarget
 from tests.axis import AXIS, VALUES, swing
+from tests.inference.test_discrepancy import regression
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -27,46 +30,46 @@ def recording(number, viscous):
 
 
 def model(vary=("motor.viscous",), count=4, **tables):
-    made = [recording(k, v) for k, v in enumerate(VISCOUS[:count])]
+    recordings = [recording(k, v) for k, v in enumerate(VISCOUS[:count])]
     tables = {"sampling": QUICK, "noise": "white"} | tables
-    return bf.Model(AXIS, made, vary=dict.fromkeys(vary, "recording"), **tables)
+    return bf.Model(AXIS, recordings, vary=dict.fromkeys(vary, "recording"), **tables)
 
 
 @pytest.fixture(scope="module")
-def found():
+def pool():
     return bf.pool(model(), seed=1)
 
 
-def test_each_recordings_own_value_is_found_and_the_rest_is_shared(found):
-    assert found.status == "reliable"
-    (viscous,) = found.varying
+def test_each_recordings_value_is_recovered_and_the_others_are_shared(pool):
+    assert pool.status == "reliable"
+    (viscous,) = pool.varying
     for true, run in zip(VISCOUS, viscous.jointly.runs, strict=True):
         # twice the 90 % interval: four values are looked at
         half = run.high - run.low
         assert abs(run.median - true) < half
-    shared = {one.name: one.value for one in found.shared}
+    shared = {parameter.name: parameter.value for parameter in pool.shared}
     assert set(shared) == set(AXIS.names) - {"motor.viscous"}
-    for name, one in shared.items():
-        assert abs(one.median - VALUES[name]) < one.high - one.low
+    for name, interval in shared.items():
+        assert abs(interval.median - VALUES[name]) < interval.high - interval.low
 
 
-def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
+def test_an_effect_missing_in_all_recordings_does_not_average_out(pool, monkeypatch):
     """A score of one size in each, to either side in all at once; the median stays."""
     score = 400.0
 
-    def room(target, posterior, _):
+    def discrepancy(target, posterior, _):
         k = len(target.free)
         covariance = np.cov(target.unbounded(posterior.flat())[:, :k].T)
         scores = score * (np.array(target.free) == "offset")
         return Discrepancy(1.0, np.zeros((10, k)), covariance @ scores, covariance)
 
-    monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", room)
+    monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", discrepancy)
     before, after = (
-        {one.name: one.value for one in pool.shared}["offset"]
-        for pool in (found, bf.pool(model(), seed=1))
+        {parameter.name: parameter.value for parameter in each.shared}["offset"]
+        for each in (pool, bf.pool(model(), seed=1))
     )
     # of two normals 90 % intervals are 3.29 sds wide
-    sds = [(one.high - one.low) / 3.29 for one in (before, after)]
+    sds = [(interval.high - interval.low) / 3.29 for interval in (before, after)]
     moved = len(VISCOUS) * score * sds[0] ** 2
     assert moved > 2.0 * sds[0]
     assert sds[1] == pytest.approx(np.hypot(sds[0], moved), rel=0.15)
@@ -74,34 +77,21 @@ def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
 
 
 @pytest.mark.parametrize("widened", [True, False])
-def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
+def test_marginalised_effects_are_notes_and_others_are_doubts(widened, monkeypatch):
     """As of a fit: what is marginalised is a note, and only a doubt makes a number doubtful."""
-    kinds = {"stribeck": ((0,),)}
-    no_columns = np.zeros(0)
-    missing = Missing(
-        observations=(),
-        columns=np.zeros((1, 0)),
-        kinds=kinds,
-        gram=np.zeros((0, 0)),
-        scores=no_columns,
-        column_errors=no_columns,
-        power=1.0,
-        spread=no_columns,
-        free=1,
-        biases_friction=no_columns.astype(bool),
-    )
-    lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
-    explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
+    missing = replace(regression(1.0), kinds={"stribeck": ((0,),)})
+    effect = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
+    explained = Explanation(findings=(effect,), kinds=("stribeck",), missing=missing)
     monkeypatch.setattr(Model, "explain", lambda *_, **__: explained)
 
-    def room(target, *_):
+    def discrepancy(target, *_):
         k = len(target.free)
         return Discrepancy(float(widened), np.zeros((1, k)), np.zeros(k), np.eye(k))
 
-    monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", room)
+    monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", discrepancy)
     pool = bf.pool(model(count=2, sampling=QUICK | {"min_ess": 100}), seed=3)
-    assert {one.severity for one in pool.findings} == {"note" if widened else "doubt"}
-    assert [one.findings for one in pool.varying] == [() if widened else ("stribeck",)]
+    assert {finding.severity for finding in pool.findings} == {"note" if widened else "doubt"}
+    assert [parameter.findings for parameter in pool.varying] == [() if widened else ("stribeck",)]
     assert pool.outcome == ("usable" if widened else "doubtful")
 
 
@@ -109,7 +99,7 @@ def test_the_population_mean_is_integrated_exactly():
     """The prior of what varies is the integral over a flat mean of independent normals."""
     target = JointTarget.__new__(JointTarget)
     theta, tau = np.array([0.3, 0.9, 0.4]), 0.35
-    target._shared, target._joint_prior = 0, JointPrior([])
+    target._shared, target.priors = 0, ()
     target._spreads, target._varying = np.array([3]), np.array([[0, 1, 2]])
     target._sds = np.full((1, 3), 0.2)
 
@@ -134,7 +124,7 @@ def test_the_same_seed_gives_the_same_numbers():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("changes", "message"),
     [
         ({"vary": ()}, "names no parameter that varies"),
         ({"vary": ("motor.viscos",)}, "motor.viscous"),
@@ -144,7 +134,7 @@ def test_the_same_seed_gives_the_same_numbers():
         ({"likelihood": {"method": "output-error"}}, "input-error"),
     ],
 )
-def test_what_cannot_be_pooled_is_refused(given, said):
+def test_what_cannot_be_pooled_is_refused(changes, message):
     with pytest.raises(bf.BadInput, match=r"pooling|likelihood|recordings") as error:
-        bf.pool(model(**given))
-    assert said in str(error.value)
+        bf.pool(model(**changes))
+    assert message in str(error.value)

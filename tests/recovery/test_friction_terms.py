@@ -14,7 +14,7 @@ from bayesfric.commands.simulate import simulate
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.priors import fixed
-from bayesfric.inference.sampling.start import climb
+from bayesfric.inference.start import climb
 from bayesfric.problem.config import parse_config
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

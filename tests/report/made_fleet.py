@@ -40,7 +40,7 @@ def write_fleet(folder):
         if k == 0:
             (place / "report.html").write_text("its page", encoding="utf-8")
         runs[unit.name] = Summary.read(run)
-    found = fleet_population(folder / "units", runs)
-    page = fleet_page(folder, units, runs, errors, found)
+    population = fleet_population(folder / "units", runs)
+    page = fleet_page(folder, units, runs, errors, population)
     (folder / "fleet.html").write_text(page, encoding="utf-8")
-    return found
+    return population

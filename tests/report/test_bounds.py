@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.priors import bound_of
-from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from bayesfric.commands.compare import compare
+from bayesfric.commands.runs import compare
 
 from .made_fleet import COUNT, WORN, write_fleet
 from .made_summaries import knee, loaded, write_draws

@@ -99,7 +99,7 @@ def test_the_ridge_leaves_it_alone(knee, factor):
     first, second = friction(KNEE, both, 0.4, open_scale=False)
     assert np.abs(second / first - 1).min() > 0.02
     # and recordings lie at the same places all along the ridge
-    first, second = (covered(knee, x, open_scale=True) for x in both)
+    first, second = (covered(knee.chain, knee.observations, x, open_scale=True) for x in both)
     np.testing.assert_allclose(second, first, rtol=1e-10, atol=1e-14)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
-from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.figures.posterior import ridge, ridge_figure
 

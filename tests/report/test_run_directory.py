@@ -16,7 +16,7 @@ import bayesfric
 from bayesfric.base.atomic_write import check_output_folder
 from bayesfric.base.errors import BadInput
 from bayesfric.commands.fit import fit
-from bayesfric.commands.report import report
+from bayesfric.commands.runs import report
 from bayesfric.commands.simulate import simulate
 from bayesfric.fit.model import Model
 from bayesfric.inference.noise import NoiseChoice

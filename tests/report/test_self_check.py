@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bayesfric.diagnostics.calibration_check import CalibrationCheck, ReplicateFit
+from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.pages import run_page
@@ -33,12 +33,10 @@ def checked(result, missed, unexplained=0.0, n=40, share=1.0):
     posterior = result.fit.posterior
     truth, j = posterior.flat(n), posterior.names.index(NAME)
     sd = result.summary.parameters[NAME].sd
-    fits = []
-    for one, z in zip(truth, np.resize(missed, n), strict=True):
-        nearby = one.copy()
-        nearby[j] += 1e-3 * z * sd
-        fits.append(ReplicateFit(nearby, 1e-3, unexplained))
-    return CalibrationCheck(truth, tuple(fits), 1.0, 2.0, share=share)
+    near_truth, same = truth.copy(), np.ones(n)
+    near_truth[:, j] += 1e-3 * np.resize(missed, n) * sd
+    errors = near_truth, 1e-3 * same, unexplained * same
+    return CalibrationCheck(truth, *errors, 1.0, 2.0, share=share)
 
 
 def told(result, found):

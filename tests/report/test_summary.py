@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
-from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import PRESETS, Joint

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.autoregression import autocovariance, simulated
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.posterior import predict_held_out
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.source import Processing

@@ -3,7 +3,7 @@
 import pytest
 from scipy import stats
 
-from bayesfric.diagnostics.policy import FALSE_ALARMS
+from bayesfric.diagnostics.statistics import FALSE_ALARMS
 
 from .bench import committed, results, scripts
 

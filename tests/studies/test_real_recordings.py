@@ -8,7 +8,7 @@ import pytest
 
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
-from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.posterior import predict_held_out
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report.summary.parts import validation_record
 from tests.conftest import DATA, REPOSITORY

@@ -8,7 +8,7 @@ import sys
 import pytest
 from scipy import stats
 
-from bayesfric.diagnostics.policy import FALSE_ALARMS
+from bayesfric.diagnostics.statistics import FALSE_ALARMS
 from tests.conftest import REPOSITORY
 
 FOLDER = REPOSITORY / "studies" / "tutorials"

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.likelihood import Outputs
+from bayesfric.inference.likelihood import Outputs
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import (

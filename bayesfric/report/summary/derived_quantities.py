@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.torque import typical_load, weighted_torque
+from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.posterior import (
+    autocorrelation_time,
+    effective_sample_size,
+    nested_rhat,
+)
 from bayesfric.inference.priors import bound_of
-from bayesfric.inference.sampling import convergence
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.quantities import quantity_of
@@ -169,12 +173,10 @@ def _totals(fit: Fit, *, budget: int = 25_000_000) -> Group:
         i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
     ]
     most = max(400, budget // sum(o.q.size for o in observations))
-    maps = projection.of_samples()
 
     def every(parameters: Array) -> Array:
-        pairs = zip(observations, maps, strict=True)
-        parts = [weighted_torque(fit.chain, o, weights, parameters) for o, weights in pairs]
-        return np.asarray(np.sum(parts, axis=0))
+        torques = [filtered_torque(fit.chain, o, parameters) for o in observations]
+        return projection.solve(np.concatenate(torques, axis=1).T)
 
     drawn = every(fit.chain_draws(most)) if wanted else np.empty((len(names), 1))
     described = [projection.describe(name) for name, *_ in names]
@@ -250,5 +252,5 @@ def sound_quantities(fit: Fit, group: Group) -> Flags:
     # draws in which a quantity is undefined say nothing against it
     values = np.where(np.isfinite(values), values, middle)
     series = np.moveaxis(values.reshape(number, *draws.shape[:3]), 0, -1)
-    ess = convergence.effective_sample_size(series, convergence.autocorrelation_time(series))
-    return diagnostics.sound(convergence.nested_rhat(series), ess)
+    ess = effective_sample_size(series, autocorrelation_time(series))
+    return diagnostics.sound(nested_rhat(series), ess)

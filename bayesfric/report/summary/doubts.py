@@ -15,8 +15,6 @@ from scipy.stats import norm
 from bayesfric.diagnostics.before_a_fit import (
     EXPLAINED,
     against_prior,
-    alternatives,
-    best_share,
     doubts_before,
     few_outputs,
     strange_velocity,
@@ -145,7 +143,7 @@ def find_doubts(
         *against_prior(contradicted),
         *strange_velocity(fit.observations),
         *_missing(summary, of_data),
-        *_unexplained(fit, summary),
+        *_unexplained(summary),
         *doubts_before(fit.estimates[0], fit.observations),
         *_cut(summary),
         *_acceleration(fit, summary, determined),
@@ -233,13 +231,11 @@ def _far(row: PosteriorRow, move: float, *, first_order: float = 0.5) -> bool:
     return not signed and abs(move) * row.sd > first_order * abs(row.middle)
 
 
-def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
+def _unexplained(summary: Summary) -> list[dict[str, Any]]:
     share, lag = summary.fit.explained, summary.noise.residual_lag1
     if share is None or share >= EXPLAINED or lag is None or lag <= CORRELATED:
         return []
-    doubt = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
-    best, _ = best_share(fit.chain, fit.observations)
-    return [doubt | alternatives(fit.chain, fit.observations, best)]
+    return [{"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}]
 
 
 def _cut(summary: Summary) -> Iterator[dict[str, Any]]:

@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from scipy.stats import norm
 
 from bayesfric.diagnostics.calibration_check import CalibrationCheck
-from bayesfric.diagnostics.policy import REPLICATES
+from bayesfric.diagnostics.statistics import REPLICATES
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.identifiability.friction_curve import (
@@ -24,8 +24,8 @@ from bayesfric.identifiability.friction_curve import (
     friction_torque,
 )
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.likelihood import Outputs
-from bayesfric.inference.predictive import Prediction
+from bayesfric.inference.likelihood import Outputs
+from bayesfric.inference.posterior import Prediction
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.numbers import Medium
 from bayesfric.report.summary.derived_quantities import Groups, rms_of
@@ -151,20 +151,19 @@ def self_check_part(
     fit: Fit, summary: Summary, checked: CalibrationCheck, derived: Groups
 ) -> SelfCheck:
     """Sum up the calibration check of a fit, for ``summary["self_check"]``."""
-    count = len(checked.fits)
+    count = len(checked.truth)
     part: dict[str, Any] = {"asked": REPLICATES, "made": count}
     part |= {"seconds": round(checked.seconds, 3), "cpu_seconds": round(checked.cpu_seconds, 3)}
     if checked.reason is not None:
         return SelfCheck(**part, reason=checked.reason)
-    unexplained = np.array([replicate.unexplained for replicate in checked.fits])
     rows = {}
     for name, truth, missed in _replicate_errors(fit, checked, derived):
         row = summary.rows[name]
         if row.of_motion:  # no table shows it
             continue
         if row.sd > 0.0 and np.isfinite(missed).sum() >= max(2.0, 0.5 * count):
-            rows[name] = _self_check_row(row, truth, missed, unexplained, checked.share)
-    return SelfCheck(**part, rows=rows, unexplained=float(unexplained.mean()))
+            rows[name] = _self_check_row(row, truth, missed, checked.unexplained, checked.share)
+    return SelfCheck(**part, rows=rows, unexplained=float(checked.unexplained.mean()))
 
 
 def self_check_doubts(summary: Summary) -> list[dict[str, Any]]:
@@ -194,16 +193,14 @@ def _replicate_errors(
     fit: Fit, checked: CalibrationCheck, derived: Groups
 ) -> Iterator[tuple[str, Array, Array]]:
     """Give each quantity's name, true values and errors ``(n,)``, one for each replicate."""
-    nearby = np.stack([replicate.near_truth for replicate in checked.fits])
-    shares = np.array([replicate.share for replicate in checked.fits])
     for j, name in enumerate(fit.posterior.names):
         if not of_noise(name):
             truth = checked.truth[:, j]
-            yield name, truth, (nearby[:, j] - truth) / shares
+            yield name, truth, (checked.near_truth[:, j] - truth) / checked.steps
     for group in derived:
-        moved = group.named(nearby)
+        moved = group.named(checked.near_truth)
         for name, truth in group.named(checked.truth).items():
-            yield name, truth, (moved[name] - truth) / shares
+            yield name, truth, (moved[name] - truth) / checked.steps
 
 
 def _self_check_row(

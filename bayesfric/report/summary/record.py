@@ -19,7 +19,7 @@ from bayesfric.estimates import Method
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
 from bayesfric.identifiability.identification import OpenDirection, SpeedTerm
 from bayesfric.identifiability.local import WIDE
-from bayesfric.inference.stiction_violations import StictionViolation
+from bayesfric.inference.posterior import StictionViolation
 from bayesfric.mechanism.quantities import turned
 from bayesfric.report.words import clause, line_of, words_of
 from bayesfric.results.reported import (

@@ -11,7 +11,7 @@ from bayesfric.base import __version__
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.estimates.autoregression import PASSES, lag_one, ljung_box, predictors
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.identifiability.coverage import back_driving_shares
+from bayesfric.identifiability.friction_curve import back_driving_shares
 from bayesfric.identifiability.local import (
     LocalInformation,
     given_by,
@@ -20,7 +20,7 @@ from bayesfric.identifiability.local import (
     verdict,
 )
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES, NoiseChoice
 from bayesfric.inference.posterior import Posterior
 from bayesfric.mechanism.quantities import TURN, effort_words

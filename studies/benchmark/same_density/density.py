@@ -21,9 +21,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.moments.fast_moments import RADIUS, SignRegion, moment_matrices
-from bayesfric.inference.moments.linear_torque import linear_torque
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.linear_torque import linear_torque
+from bayesfric.inference.moments import RADIUS, SignRegion, moment_matrices
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]

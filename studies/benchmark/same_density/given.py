@@ -14,8 +14,8 @@ import problem
 from numpy.typing import NDArray
 
 from bayesfric.inference.fitting import fit
-from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.inference.sampling.start import Start, climb, gauss_newton
+from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.start import Start, climb, gauss_newton
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]

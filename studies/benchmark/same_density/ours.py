@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from bayesfric.base.progress import Progress
 from bayesfric.inference.coordinates import BoundedCoordinates
-from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.sampling import Sampling, sample
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]

@@ -1,1 +1,0 @@
-"""Sums of products of residuals: likelihoods whose cost does not grow with the recordings."""
