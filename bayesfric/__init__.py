@@ -1,9 +1,9 @@
 """What a measured motor torque says about a joint, as posteriors.
 
 A :class:`Joint` is made of :class:`Element` and :class:`Load`, a :class:`Recording` of files,
-arrays or a table; a :class:`Model` of both answers every question, and :func:`check` says what
-looks wrong beforehand. What it samples goes to :func:`summary`, :mod:`plot`, :func:`report` and
-:func:`export`.
+arrays or a table; a :class:`Model` of both answers every question, :func:`check` says what looks
+wrong beforehand, and :func:`pool` fits recordings that differ in some parameters. What it samples
+goes to :func:`summary`, :mod:`plot`, :func:`report` and :func:`export`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from bayesfric.export.exported import export
     from bayesfric.fit.check_report import check
     from bayesfric.fit.model import Model
+    from bayesfric.fit.pooled_fit import pool
     from bayesfric.fit.result import report, summary
     from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Arm", "BadInput", "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check",
-    "export", "plot", "report", "rollout", "simulate", "summary",
+    "export", "plot", "pool", "report", "rollout", "simulate", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
@@ -50,6 +51,7 @@ _HOMES = {
     "check": "fit.check_report",
     "export": "export.exported",
     "plot": "plot",
+    "pool": "fit.pooled_fit",
     "report": "fit.result",
     "rollout": "rollouts.rollout",
     "simulate": "mechanism.experiment",

@@ -18,7 +18,7 @@ from scipy import stats
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.joint import PRESETS
-from bayesfric.problem.config_text import config_of, mechanism_table, prior_value
+from bayesfric.problem.config import config_of, mechanism_table, prior_value
 from tests.axis import swing
 from tests.commands.bench import Bench, without_figures
 from tests.conftest import REPOSITORY, brought
@@ -63,7 +63,6 @@ def same_draws(first, second):
 @pytest.mark.slow
 def test_the_example_of_the_reference_is_the_fit(bench, monkeypatch):
     text = (REPOSITORY / "studies/reference/python.md").read_text()
-    without_figures(monkeypatch)  # of runs: it is the draws that are compared
     (code,) = re.findall(r"<!-- python-example -->\n```python\n(.*?)```\n<!-- end -->", text, re.S)
     # the first 1.5 s, and few draws: the two ways are the same at any length
     knee = (Path(str(files("bayesfric") / "examples")) / "knee.csv").read_text().splitlines()
@@ -224,7 +223,7 @@ def test_a_reference_is_of_the_same_loss_by_direction_or_not(viscous, reference,
     """What ``explain`` advises to add does not break what a configuration compares with."""
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=viscous)
     joint = bf.Joint([motor], bf.Load(), offset=True)
-    references = bf.Model(joint, recording_of(), references={reference: 0.05}).references()
+    references = bf.Model(joint, recording_of(), references={reference: 0.05}).references
     assert set(references) == {name}
     assert references[name]["value"] == 0.05
     with pytest.raises(BadInput, match="no result of this mechanism"):

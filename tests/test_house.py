@@ -38,8 +38,8 @@ def modules_of(tree: ast.AST) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, "imports are written from bayesfric on"
             for alias in node.names:
-                full_name = f"{node.module}.{alias.name}"
-                yield full_name if full_name in FILES else node.module
+                name = f"{node.module}.{alias.name}"
+                yield name if name in FILES else node.module
 
 
 FILES = {
@@ -53,7 +53,7 @@ IMPORTS = {
 
 
 def place(name: str) -> str:
-    """Give the room that a file is in, or its own name outside of them."""
+    """Return the room of a file, or its own name if it is in none."""
     return name.split(".")[1] if "." in name else name
 
 
@@ -66,9 +66,9 @@ ROOMS = sorted({room(name) for name in FILES})
 
 @pytest.mark.parametrize("name", ROOMS)
 def test_no_circle_is_inside_a_room(name):
-    inside = {file for file in FILES if room(file) == name}
+    files = {file for file in FILES if room(file) == name}
     try:
-        TopologicalSorter({file: IMPORTS[file] & inside for file in inside}).prepare()
+        TopologicalSorter({file: IMPORTS[file] & files for file in files}).prepare()
     except CycleError as error:
         pytest.fail(" imported by ".join(error.args[1]))
 

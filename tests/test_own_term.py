@@ -46,7 +46,7 @@ def recording():
 
 @pytest.fixture(scope="module")
 def model(recording):
-    return bf.Model(JOINT, recording).with_term(COGGING)
+    return bf.Model(JOINT.with_term(COGGING), recording)
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,14 @@ from bayesfric.arm.inertial_prior import Bodies, UrdfJoint, directions, resoluti
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
 from bayesfric.fit.model import Model
-from bayesfric.problem.config import checked_toml, parse_config, read_toml
-from bayesfric.problem.config_text import document_text, recording_table, toml_value
+from bayesfric.problem.config import (
+    checked_toml,
+    document_text,
+    parse_config,
+    read_toml,
+    recording_table,
+    toml_value,
+)
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.units import OPEN

@@ -29,7 +29,7 @@ from bayesfric.arm.joint_consistency import (
 )
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import write_files
-from bayesfric.fit.result import Result
+from bayesfric.fit.model import Result
 from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.posterior import Posterior, predict_held_out
 from bayesfric.recordings.arrays import Array

@@ -34,7 +34,7 @@ def estimate(
     """Estimate by a method of the paper, or ``all``."""
     methods: Sequence[Any] = METHODS if method == "all" else [method]
     estimates = model.estimates(methods, progress=progress)
-    references = model.references()
+    references = model.references
     record = {
         "config": str(model.config.path),
         "estimates": {x.method: estimate_table(x).as_dict() for x in estimates},

@@ -178,11 +178,12 @@ def explain(
 @app.command()
 def pool(config: ConfigFile, seed: Seed = None, as_json: AsJson = False) -> None:
     """Fit recordings together of which some parameters differ, and predict the next one."""
+    from bayesfric.fit.pooled_fit import pool as run
     from bayesfric.report.words import filled, line_of
 
     model = _model(config)
     with _progress() as progress:
-        pooled = model.pool(seed=seed, progress=progress)
+        pooled = run(model, seed=seed, progress=progress)
     lines = [
         f"{finding.recording}: {line_of(finding.kind, finding.as_dict())}"
         for finding in pooled.findings

@@ -19,8 +19,7 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import environment
 from bayesfric.fleet.plan import FleetTables
 from bayesfric.mechanism.joint import PRESETS
-from bayesfric.problem.config import Tables
-from bayesfric.problem.config_text import toml_value
+from bayesfric.problem.config import Tables, toml_value
 from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import Log, recognise
 from bayesfric.recordings.units import OPEN

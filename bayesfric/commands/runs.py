@@ -60,7 +60,7 @@ def report(
 
 def _paper_figures(run: Path, progress: ProgressCallback) -> tuple[list[str], Any]:
     """Draw a run's figures again; return their files, and its summary."""
-    from bayesfric.fit.result import Result
+    from bayesfric.fit.model import Result
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.run_directory import draw
 

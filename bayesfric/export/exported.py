@@ -30,7 +30,8 @@ from bayesfric.export.joint_model import (
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
 from bayesfric.export.written_law import law, unwritten
-from bayesfric.fit.result import Result, result_of
+from bayesfric.fit.model import Result
+from bayesfric.fit.result import result_of
 from bayesfric.identifiability.friction_curve import covered, friction_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Parameter

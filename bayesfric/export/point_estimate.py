@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.export.joint_model import Trajectory, torque_along
-from bayesfric.fit.result import Result
+from bayesfric.fit.model import Result
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import turned
 from bayesfric.mechanism.scaling import Scaling, scalings

@@ -14,10 +14,8 @@ from bayesfric.diagnostics.before_a_fit import (
     few_outputs,
     little_explained,
 )
+from bayesfric.fit.model import Model
 from bayesfric.inference.noise import SCALES
-from bayesfric.problem.problem import Problem
-from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.summary.summary import estimate_table
 from bayesfric.report.terminal import aligned, shortened, wrapped
@@ -49,7 +47,7 @@ class CheckReport:
         return (*texts, *map(doubt_text, self.record["doubts"]))
 
 
-def check(model: Problem | Path | str) -> CheckReport:
+def check(model: Model | Path | str) -> CheckReport:
     """Say what is measured, its quality and its problems, before anything is fitted.
 
     Parameters
@@ -62,11 +60,11 @@ def check(model: Problem | Path | str) -> CheckReport:
     BadInput
         For anything that cannot be used.
     """
-    model = model if isinstance(model, Problem) else Problem.from_config(model)
+    model = model if isinstance(model, Model) else Model.from_config(model)
     return CheckReport(_record(model))
 
 
-def _record(model: Problem) -> dict[str, Any]:
+def _record(model: Model) -> dict[str, Any]:
     explained, auto = model.explain(), model.config.tables.mechanism.auto
     # effects that a fit adds are no doubts; what remains is evaluated again then
     included = explained.applicable if auto else ()
@@ -82,6 +80,7 @@ def _record(model: Problem) -> dict[str, Any]:
     ]
     if model.chain.unseen_inertia:
         doubts.append({"kind": "unseen-inertia", "names": list(model.chain.unseen_inertia)})
+    fitted = [None] * len(model.recordings)  # no part held out
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
         "config": str(model.config.path),
@@ -103,7 +102,10 @@ def _record(model: Problem) -> dict[str, Any]:
                 "steps": list(observation.steps),
                 "warnings": list(observation.warnings),
             }
-            for recording, observation, part in _parts(model)
+            for recording, observation, part in [
+                *zip(model.recordings, model.observations, fitted, strict=True),
+                *((x.recording, x.observation, x.held_out) for x in model.held_out),
+            ]
         ],
         "priors": {
             name: {"prior": prior.text, "default": prior.default}
@@ -118,16 +120,8 @@ def _record(model: Problem) -> dict[str, Any]:
     }
 
 
-def _parts(model: Problem) -> Iterator[tuple[Measurement, Observation, str | None]]:
-    """Yield everything read, with which part is held out."""
-    for recording, observation in zip(model.recordings, model.observations, strict=True):
-        yield recording, observation, None
-    for part in model.held_out:
-        yield part.recording, part.observation, part.held_out
-
-
-def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
-    recordings, limit = found["recordings"], None if verbose else _MANY
+def _lines(record: Mapping[str, Any], verbose: bool) -> Iterator[str]:
+    recordings, limit = record["recordings"], None if verbose else _MANY
     for recording in recordings[:limit]:
         settings = recording["settings"]
         rate = f" at {settings['sampling_rate']:.4g} Hz" if settings.get("sampling_rate") else ""
@@ -138,30 +132,28 @@ def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
             yield from _steps(recording)
     if verbose:
         yield from ("", "Priors")
-        for name, prior in found["priors"].items():
+        for name, prior in record["priors"].items():
             yield f"  {name:<28} {prior['prior']}{'  (default)' if prior['default'] else ''}"
     elif len(recordings) > _MANY:
         yield f"and {len(recordings) - _MANY} more"
-    totals = found["least_squares"]
+    totals = record["least_squares"]
     cells = [("", "least squares", "±", "", "")]
-    for name, v in totals["parameters"].items():
-        if v["sd"] is None:
-            cells.append((name, "not determined", "", "", v["unit"]))
-        else:
-            sd = max(v["sd"], v["sd_robust"] or 0.0)
-            cells.append(
-                (name, TEXT.ends(v["value"], 0, 0, sd), TEXT.ends(sd, 0, 0, sd), "", v["unit"])
-            )
+    for name, row in totals["parameters"].items():
+        value, error = "not determined", ""
+        if row["sd"] is not None:
+            sd = max(row["sd"], row["sd_robust"] or 0.0)
+            value, error = (TEXT.ends(number, 0, 0, sd) for number in (row["value"], sd))
+        cells.append((name, value, error, "", row["unit"]))
     yield ""
     yield from aligned(cells)
     if (rms := totals["residual_rms"]) is not None:
         yield f"{rms:.3g} {totals['residual_unit']} rms left"
     yield ""
     if verbose:
-        yield from (line_of("put in", row) for row in found["taken"])
-        yield from (f"WARNING: {doubt_text(doubt)}" for doubt in found["doubts"])
+        yield from (line_of("put in", row) for row in record["taken"])
+        yield from (f"WARNING: {doubt_text(doubt)}" for doubt in record["doubts"])
     else:
-        yield from _doubts(found)
+        yield from _doubts(record)
 
 
 def _steps(recording: Mapping[str, Any]) -> Iterator[str]:
@@ -173,15 +165,15 @@ def _steps(recording: Mapping[str, Any]) -> Iterator[str]:
     yield from (f"  WARNING: {warning}" for warning in recording["warnings"])
 
 
-def _doubts(found: Mapping[str, Any]) -> Iterator[str]:
-    lines = [line_of(doubt["kind"], doubt) for doubt in found["doubts"]]
-    counts = Counter(text.split(";")[0] for row in found["recordings"] for text in row["warnings"])
+def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
+    lines = [line_of(doubt["kind"], doubt) for doubt in record["doubts"]]
+    counts = Counter(text.split(";")[0] for row in record["recordings"] for text in row["warnings"])
     lines += [text if n == 1 else f"{text} ({n} recordings)" for text, n in counts.items()]
-    for row in found["taken"]:
+    for row in record["taken"]:
         yield from wrapped(f"fit will put in: {line_of(row['kind'], row)}", indent=2)
     for line in lines[:_MANY]:
         yield from wrapped(f"! {line}", indent=2)
     if len(lines) > _MANY:
         yield f"  and {len(lines) - _MANY} more: --verbose"
-    if not lines and not found["taken"]:
+    if not lines and not record["taken"]:
         yield "Nothing stands out."

@@ -1,11 +1,15 @@
-"""A joint and its recordings: estimate, identify, sample."""
+"""A joint and its recordings with priors, and the posterior of their parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -17,20 +21,52 @@ from bayesfric.base.progress import (
     no_progress,
     progress_shown,
 )
+from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
+from bayesfric.diagnostics.regression import Finding
+from bayesfric.diagnostics.statistics import MAX_EFFECTS
 from bayesfric.estimates import METHODS, Method
-from bayesfric.estimates.input_error import few_threads
-from bayesfric.estimates.methods import estimate_by
-from bayesfric.fit.fit import fit
-from bayesfric.fit.pooled_fit import Pooled, pooled
-from bayesfric.fit.result import Result
+from bayesfric.estimates.input_error import contradicted, few_threads
+from bayesfric.estimates.methods import (
+    EstimationInputs,
+    FittedModel,
+    estimate_by,
+    predicts_better,
+)
+from bayesfric.estimates.point_estimate import Estimate, Knowledge
+from bayesfric.fit.conclusion import StartingPoint, conclude, refuse_collinear_losses
+from bayesfric.fit.saved_draws import flat_draws, read_draws, saved_fit
 from bayesfric.identifiability.identification import Identification, identify, speed_term
 from bayesfric.identifiability.local import estimate_point, local_information
-from bayesfric.inference.target import Target
+from bayesfric.inference.discrepancy import discrepancy
+from bayesfric.inference.fitting import Fit, make_target, target_of
+from bayesfric.inference.fitting import fit as sample_posterior
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
+from bayesfric.inference.position_likelihood import PositionLikelihood
+from bayesfric.inference.posterior import predict_held_out
+from bayesfric.inference.priors import Prior, as_knowledge
+from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.target import Likelihood, Target
 from bayesfric.mechanism.joint import Joint
-from bayesfric.problem.config_text import config_of, mechanism_table, prior_value, recording_table
-from bayesfric.problem.problem import Problem, StartingPoint, starting_point
+from bayesfric.mechanism.own_term import Term
+from bayesfric.problem.config import (
+    Config,
+    config_of,
+    mechanism_table,
+    prior_value,
+    read_config,
+    recording_table,
+    saved_name,
+    with_settings,
+)
+from bayesfric.problem.preparation import prepare, references
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.held_out import fitted
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.readers import sha256
 from bayesfric.recordings.source import Recording
+from bayesfric.recordings.trajectory import Trajectory, trajectory
+from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.summary import estimate_table
 
 if TYPE_CHECKING:
@@ -39,8 +75,12 @@ if TYPE_CHECKING:
 
     from bayesfric.identifiability.next_recording import Ranking
 
+# Attribute by which the tree that Model.sample returns refers to its Result; copies and trees read
+# from a file have none.
+RESULT = "_bayesfric_result"
 
-class Model(Problem):
+
+class Model:
     """A joint and its recordings, with priors.
 
     Parameters
@@ -60,7 +100,7 @@ class Model(Problem):
         ``self_check``, ``pooling``, ``advice``.
     vary
         Parameters that may differ between recordings, ``{"motor.viscous": "recording"}``: the
-        table ``pooling``, for :meth:`pool`.
+        table ``pooling``, for :func:`bayesfric.pool`.
 
     Attributes
     ----------
@@ -76,6 +116,8 @@ class Model(Problem):
         Of every parameter and noise scale.
     held_out
         Recordings to be predicted and not fitted.
+    references
+        Values to compare with, by name.
 
     Raises
     ------
@@ -106,6 +148,44 @@ class Model(Problem):
         }
         self._read(config_of(document), recordings, joint.terms)
 
+    @classmethod
+    def from_config(
+        cls,
+        config: Config | Path | str,
+        *,
+        terms: Sequence[Term] = (),
+        recordings: Sequence[Recording] | None = None,
+    ) -> Self:
+        """Read a configuration and its recordings; a finished run's ``config.toml`` is one.
+
+        ``terms`` are the functions of custom terms that it names. ``recordings`` replace those
+        that it names, if not all are in files.
+        """
+        model = cls.__new__(cls)
+        read = config if isinstance(config, Config) else read_config(Path(config))
+        model._read(read, recordings, terms)
+        return model
+
+    def _read(
+        self,
+        config: Config,
+        recordings: Sequence[Recording] | None = None,
+        terms: Sequence[Term] = (),
+    ) -> None:
+        self.config, self.given = config, recordings or ()
+        self._estimates: dict[Method, Estimate] = {}  # cache
+        self.chain, self.priors, parts, self.encoder = prepare(config, recordings, terms)
+        self.recordings, self.observations = fitted(parts)
+        self.held_out = tuple(part for part in parts if part.held_out)
+        self.references = references(config, self.chain, self.observations)
+
+    def alone(self, k: int) -> Self:
+        """Return the same model with recording ``k`` alone."""
+        single = copy(self)
+        single.recordings, single.observations = [self.recordings[k]], [self.observations[k]]
+        single._estimates = {}
+        return single
+
     def estimate(self, *methods: Method) -> pd.DataFrame:
         """Tabulate point estimates, a row for each method and parameter; by default all methods.
 
@@ -126,10 +206,150 @@ class Model(Problem):
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
-        frame.loc[np.isinf(frame["sd"]), ["value", "sd", "sd_robust"]] = np.nan
-        first = ["value", "sd", "sd_robust", "unit"]
-        frame = frame[[*first, *(name for name in frame.columns if name not in first)]]
+        numbers = ["value", "sd", "sd_robust"]
+        frame.loc[np.isinf(frame["sd"]), numbers] = np.nan
+        first = [*numbers, "unit"]
+        frame = frame[[*first, *frame.columns.difference(first, sort=False)]]
         return frame.droplevel("method") if len(methods) == 1 else frame
+
+    def estimates(
+        self, methods: Sequence[Method] = METHODS, *, progress: ProgressCallback = no_progress
+    ) -> list[Estimate]:
+        """Estimate the parameters by one or more methods.
+
+        Parameters
+        ----------
+        methods
+            Which; the output error starts from the input error's result.
+        progress
+            Progress callback.
+
+        Raises
+        ------
+        BadInput
+            If there is no such method, or one cannot be used with these recordings.
+        """
+        with self.config.named():
+            shown = by_method(progress)
+            new = estimate_by(methods, self.evidence, self._estimates, progress=shown)
+        self._estimates |= new
+        return list(new.values())
+
+    @cached_property
+    def _knowledge(self) -> Knowledge:
+        """Priors for point estimates; the moments of some take seconds."""
+        return as_knowledge(self.chain, self.priors)
+
+    @property
+    def evidence(self) -> EstimationInputs:
+        """Inputs of point estimates."""
+        return EstimationInputs(
+            self.chain,
+            self.observations,
+            self._knowledge,
+            self.config.tables.estimation,
+            self.trajectories,
+        )
+
+    def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
+        """Trajectories of fitted recordings, restarting every ``segment`` s."""
+        pairs = zip(self.recordings, self.observations, strict=True)
+        return [trajectory(recording, observation, segment) for recording, observation in pairs]
+
+    def explain(
+        self,
+        estimates: Sequence[Estimate] = (),
+        *,
+        seed: int | None = None,
+        progress: ProgressCallback = no_progress,
+    ) -> Explanation:
+        """Find what else explains the torque, tested against simulated replicates.
+
+        It starts from the first of the ``estimates`` with all parameters, or from the input error;
+        ``seed`` replaces that of the table ``sampling``.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        if reason := too_few_outputs(self.chain, self.observations):
+            return Explanation(reason=reason)
+        points = (estimate.point for estimate in estimates if estimate.point)
+        point = next(points, None) or self.estimates(["input-error"], progress=progress)[0].point
+        progress(Progress("what else explains the torque"))
+        return explain(
+            self.chain,
+            self.recordings,
+            self.observations,
+            self.config.tables.processing,
+            dict(point),
+            sorted(self.evidence.knowledge.fixed),
+            self.config.tables.sampling.seed if seed is None else seed,
+        )
+
+    def contradicted(self, start: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """Compare priors with an estimate without them, started at a point.
+
+        See :func:`bayesfric.estimates.input_error.contradicted`.
+        """
+        e = self.evidence
+        return contradicted(e.chain, e.observations, e.knowledge, e.options, start)
+
+    def completed(
+        self, *, progress: ProgressCallback = no_progress
+    ) -> tuple[Self, tuple[Finding, ...], Explanation]:
+        """Add effects that explain the torque, one after the other, until none is left.
+
+        A term is kept if the model with it predicts held-out data better, see
+        :func:`bayesfric.estimates.methods.predicts_better`; else it is part of the model
+        discrepancy. A delay, which moves other parameters by much, is added only without rivals. A
+        fit does so with ``terms = "auto"`` under ``[mechanism]``.
+
+        Returns
+        -------
+        model
+            With all terms added, also in its ``config``.
+        included
+            Their findings, in the order of selection.
+        remaining
+            What else explains the torque of that model.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        model, included = self, list[Finding]()
+        if too_few_outputs(self.chain, self.observations):
+            return self, (), self.explain()
+        current = self._candidate(progress)
+        while True:
+            remaining = model.explain([current.estimate], progress=progress)
+            tried = {finding.hint for finding in included}
+            candidates = [finding for finding in remaining.applicable if finding.hint not in tried]
+            for finding in candidates[: MAX_EFFECTS - len(included)]:
+                if (trial := model._with_finding(finding)) is None:
+                    continue
+                if predicts_better(candidate := trial._candidate(progress), current):
+                    model, current = trial, candidate
+                    included.append(finding)
+                    break
+            else:
+                return model, tuple(included), remaining
+
+    def _candidate(self, progress: ProgressCallback) -> FittedModel:
+        return FittedModel(self.evidence, self.estimates(["input-error"], progress=progress)[0])
+
+    def _with_finding(self, finding: Finding) -> Self | None:
+        """Add a finding's setting; ``None`` if it conflicts with the configuration."""
+        lines = [finding.hint]
+        if self.config.tables.mechanism.auto:  # terms are written explicitly
+            lines.append('mechanism.terms = "as written"')
+        with suppress(BadInput):
+            config, given = with_settings(self.config, lines), self.given or None
+            return type(self).from_config(config, terms=self.chain.terms, recordings=given)
+        return None
 
     def identify(self) -> pd.DataFrame:
         """Tabulate :meth:`identification`, a row for each parameter."""
@@ -206,9 +426,107 @@ class Model(Problem):
         with self.config.named(), few_threads(self.observations):
             return target, estimate_point(target, point)
 
+    def target(
+        self, point: Mapping[str, float] | None = None, choice: NoiseChoice | None = None
+    ) -> Target:
+        """Log-posterior, in the coordinates that the sampler sees.
+
+        Parameters
+        ----------
+        point
+            Values near the mode, where the output-error likelihood is linearised, and whose
+            residuals determine the noise.
+        choice
+            Result of :meth:`noise_choice` at the point, if available.
+
+        Raises
+        ------
+        ValueError
+            If the point is needed and not given.
+        """
+        tables, priors = self.config.tables, self.priors
+        if tables.likelihood.method == "input-error":
+            if point is None and choice is None and self._chooses_noise:
+                raise ValueError(
+                    "the noise is chosen from the residuals of a point estimate: give one, or use "
+                    "white_target() for white noise"
+                )
+            choice = choice or self.noise_choice(point)
+            noise, priors = self.with_noise(choice)
+            likelihood: Likelihood = TorqueLikelihood(self.chain, self.observations, noise)
+        elif point is None:
+            raise ValueError("the output-error likelihood needs a point estimate")
+        else:
+            trajectories = self.trajectories(0.5)  # s after which its simulation restarts
+            with self.config.named():
+                likelihood = PositionLikelihood(
+                    self.chain, trajectories, self.observations, self.chain.vector(point)
+                )
+        return target_of(likelihood, priors, tables.noise.scale).with_circular_cut_at(point or {})
+
+    def with_noise(self, choice: NoiseChoice | None) -> tuple[Autoregressive, dict[str, Prior]]:
+        """Return the noise of a choice, and priors restricted to its autocorrelation."""
+        if choice is None:
+            return Autoregressive(), self.priors
+        return Autoregressive(choice.order), choice.priors(self.priors)
+
+    def white_target(self) -> Target:
+        """Log-posterior of the torque with white noise, independent of the configuration."""
+        scale = self.config.tables.noise.scale
+        return make_target(self.chain, self.observations, self.priors, scale)
+
+    def noise_choice(self, point: Mapping[str, float] | None) -> NoiseChoice | None:
+        """Choose the noise from the torque residuals of a point, if it is not configured."""
+        if point is None or not self._chooses_noise:
+            return None
+        per_recording = self.config.tables.noise.scale == "per-recording"
+        return choose_noise(
+            self.chain, self.observations, self.priors, point, per_recording=per_recording
+        )
+
+    @property
+    def _chooses_noise(self) -> bool:
+        tables = self.config.tables
+        return tables.noise.model == "auto" and tables.likelihood.method == "input-error"
+
+    def starting_point(
+        self, *, output_error: bool = False, progress: ProgressCallback = no_progress
+    ) -> StartingPoint:
+        """Estimate, choose the noise, and make the log-posterior that is sampled.
+
+        The output error is estimated on request, or without a time limit to start its likelihood,
+        for reproducibility. A mechanism that cannot be simulated still has a posterior of the
+        torque, and the log-posterior is linearised at the first estimate that can be simulated.
+        """
+        tables, evidence = self.config.tables, self.evidence
+        direct: list[Method] = ["least-squares", "input-error"]
+        estimates = {e.method: e for e in self.estimates(direct, progress=progress)}
+        missing = []
+        sampled = tables.likelihood.method == "output-error"
+        if sampled:
+            options = evidence.options.model_copy(update={"max_seconds": np.inf})
+            evidence = replace(evidence, options=options)
+        if sampled or output_error or tables.estimation.output_error:
+            try:
+                with self.config.named():
+                    estimates |= estimate_by(
+                        ["output-error"], evidence, estimates, progress=by_method(progress)
+                    )
+            except BadInput as error:
+                missing.append(f"no output-error estimate: {error.what}")
+        points = [dict(e.point) for e in estimates.values() if e.point]
+        choice = self.noise_choice(points[0])
+        for point in points[:-1]:
+            with suppress(BadInput):
+                target = self.target(point, choice)
+                break
+        else:
+            target = self.target(points[-1], choice)
+        return StartingPoint([*estimates.values()], missing, choice, target)
+
     @cached_property
     def _start(self) -> StartingPoint:
-        return starting_point(self)
+        return self.starting_point()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -269,25 +587,50 @@ class Model(Problem):
         BadInput
             For anything that cannot be used.
         """
+        if self.config.tables.pooling.vary:
+            raise BadInput(
+                "pooling.vary",
+                "is for 'bayesfric pool': a fit shares all parameters between recordings",
+                "run that, or leave the table out",
+            )
+        # choose the model
+        model, included, explained = self, tuple[Finding, ...](), None
+        if self.config.tables.mechanism.auto:
+            model, included, explained = self.completed(progress=progress)
+        config = model.config
+        # estimate
+        start = model.starting_point(output_error=output_error, progress=progress)
+        refuse_collinear_losses(config, model.chain, model.priors, start)
+        explained = explained or model.explain(start.estimates, progress=progress)
+        # sample
+        settings = self.settings(seed)
+        with config.named():
+            fit = sample_posterior(
+                start.target, settings, estimates=start.estimates, progress=progress
+            )
+        if model.held_out:
+            fit = replace(fit, held_out=predict_held_out(fit.target, fit.posterior, model.held_out))
+        # examine and conclude
+        errors = discrepancy(fit.target, fit.posterior, explained.missing)
+        fit = replace(fit, discrepancy=errors)
+        contradicted = model.contradicted(dict(start.searched.point))
+        progress(Progress("identifiability"))
+        summary = conclude(
+            config,
+            model.recordings,
+            model.references,
+            start,
+            fit,
+            explained,
+            included,
+            contradicted,
+        )
+        return Result(model, summary, config.path.stem, fit.wide.posterior.flat(), fit)
+
+    def settings(self, seed: int | None) -> Sampling:
+        """Return the table ``sampling``, with another seed if one is given."""
         sampling = self.config.tables.sampling
-        if seed is not None:
-            sampling = sampling.model_copy(update={"seed": seed})
-        return fit(self, sampling, output_error=output_error, progress=progress)
-
-    def pool(self, *, seed: int | None = None, progress: ProgressCallback = no_progress) -> Pooled:
-        """Fit recordings together of which some parameters differ.
-
-        ``vary``, or the table ``pooling``, names these parameters; ``seed`` replaces that of the
-        table ``sampling``.
-
-        Raises
-        ------
-        BadInput
-            If no parameter is named, or recordings are too few, or too many for one posterior.
-        """
-        auto = self.config.tables.mechanism.auto
-        model = self.completed(progress=progress)[0] if auto else self
-        return pooled(model, seed, progress)
+        return sampling if seed is None else sampling.model_copy(update={"seed": seed})
 
     def sample(
         self,
@@ -324,3 +667,141 @@ class Model(Problem):
         for name, prior in self.priors.items():
             lines.append(f"{name} ~ {prior.text}{' (default)' if prior.default else ''}")
         return "\n".join(lines)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """A model, the summary of its posterior, and draws that allow for model discrepancy."""
+
+    model: Model
+    summary: Summary  # of ``summary.json``; after a fit without the place of recordings
+    name: str  # of the run, for messages and captions
+    draws: Array  # (n, len(names)) in SI units
+    sampled: Fit | None = None  # draws, point estimates and predictions of a fit in this process
+    folder: Path | None = None  # run directory that it was read from
+
+    @classmethod
+    def read(cls, run: Path) -> Result:
+        """Read a run directory.
+
+        Raises
+        ------
+        BadInput
+            If it is not complete, or its recordings cannot be read.
+        """
+        summary = Summary.read(read_summary_file(run), str(run))
+        model = Model.from_config(run / "config.toml")
+        groups = read_draws(run, summary)
+        free = [name for name in model.chain.names if not model.priors[name].fixed]
+        if missing := [name for name in free if name not in summary.parameters]:
+            raise BadInput(
+                str(run / "config.toml"), f"{missing[0]} was not sampled", "fit the run again"
+            )
+        draws = groups.get("widened", groups["posterior"])
+        return cls(model, summary, run.resolve().name, flat_draws(draws), folder=run)
+
+    def __repr__(self) -> str:
+        return str(self.summary)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sampled parameters in the order of the draws, noise scales last."""
+        return tuple(self.summary.parameters)
+
+    @property
+    def joint(self) -> Joint:
+        """The joint, with the offsets of its recordings."""
+        return self.model.chain
+
+    @property
+    def recordings(self) -> list[Measurement]:
+        """All recordings, also held-out ones."""
+        return [*self.model.recordings, *(part.recording for part in self.model.held_out)]
+
+    def picked(self, most: int) -> Array:
+        """Return at most so many draws ``(n, len(names))``, evenly spaced."""
+        if most >= len(self.draws):
+            return self.draws
+        return np.asarray(self.draws[np.linspace(0, len(self.draws) - 1, most).astype(int)])
+
+    def values(self, draws: Array) -> Array:
+        """Insert fixed parameters: ``(n, d)`` to ``(n, n_parameters)``."""
+        columns = dict(zip(self.names, draws.T, strict=True))
+        parameters = [
+            columns[name] if name in columns else np.full(len(draws), self.model.priors[name].value)
+            for name in self.joint.names
+        ]
+        return np.stack(parameters, axis=1)
+
+    @cached_property
+    def fit(self) -> Fit:
+        """The fit; of a run directory made again from draws and recordings, without estimates."""
+        if self.sampled is not None:
+            return self.sampled
+        assert self.folder is not None
+        groups = read_draws(self.folder, self.summary)
+        # the medians of what was sampled, and what was fixed
+        point = {n: p.value for n, p in self.model.priors.items() if p.fixed} | {
+            name: float(np.median(x)) for name, x in groups["posterior"].items()
+        }
+        noise = self.summary.noise
+        target = self.model.target(
+            {name: point[name] for name in self.joint.names},
+            NoiseChoice(noise.order or 0, (), tuple(noise.memory), noise.room),
+        )
+        return saved_fit(target, self.model.held_out, self.summary, groups)
+
+    def tree(self) -> xr.DataTree:
+        """Return the contents of ``posterior.nc``."""
+        from bayesfric.report.posterior_file import posterior_tree  # imports xarray and pandas
+
+        text = self.model.config.text
+        tree = posterior_tree(self.fit, self.summary, text, self.recordings)
+        object.__setattr__(tree, RESULT, self)
+        return tree
+
+    def write(
+        self,
+        folder: Path,
+        *,
+        draws: int | None = None,
+        paper: bool = False,
+        progress: ProgressCallback = no_progress,
+    ) -> Summary:
+        """Write a run directory, and return what its ``summary.json`` holds.
+
+        Nothing is left behind if the folder cannot be written. ``draws`` makes it a light one, see
+        :func:`~bayesfric.report.run_directory.write_run`; ``paper`` adds LaTeX, and figures as PDF
+        and PNG.
+        """
+        from bayesfric.report.run_directory import write_run  # brings Matplotlib with it
+
+        config, recordings = self.model.config, self.recordings
+        # tables in memory are saved in the run
+        files = {
+            recording.source.name or f"recording-{n}": (saved_name(n), recording)
+            for n, recording in enumerate(self.model.given, start=1)
+            if recording.table is not None
+        }
+        with TemporaryDirectory() as name:
+            for k, measured in enumerate(recordings):
+                if measured.name in files:
+                    file, recording = files[measured.name]
+                    saved = Path(name, file)
+                    saved.parent.mkdir(exist_ok=True)
+                    recording.saved(saved)
+                    recordings[k] = replace(measured, path=folder / file, sha256=sha256(saved))
+            origin = config.origin_of(recordings, folder if self.model.given else config.folder)
+            summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
+            write_run(
+                folder,
+                self.fit,
+                summary,
+                config.text,
+                recordings,
+                Path(name),
+                draws,
+                paper=paper,
+                progress=progress,
+            )
+        return summary

@@ -7,17 +7,17 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.progress import Progress, ProgressCallback, Timer
+from bayesfric.base.progress import Progress, ProgressCallback, Timer, no_progress
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Finding
 from bayesfric.fit.check_report import check
+from bayesfric.fit.model import Model
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Status
 from bayesfric.inference.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
-from bayesfric.problem.problem import Problem, starting_point
 from bayesfric.results.reported import LEVEL, Outcome, outcome_of
 
 
@@ -62,26 +62,39 @@ class Pooled:
         return asdict(self)
 
 
-def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Pooled:
-    """Fit every recording separately, then all together.
+def pool(
+    model: Model, *, seed: int | None = None, progress: ProgressCallback = no_progress
+) -> Pooled:
+    """Fit recordings of a model separately, then all together while some parameters differ.
 
-    ``seed`` replaces the configuration's. BadInput for fewer than two recordings or too many,
-    unknown or fixed parameters, and an output-error likelihood.
+    Parameters
+    ----------
+    model
+        A model whose ``vary``, or table ``pooling``, names these parameters.
+    seed
+        Replaces that of the table ``sampling``.
+    progress
+        Progress callback.
+
+    Raises
+    ------
+    BadInput
+        If no parameter is named or one is fixed, or recordings are too few, or too many for one
+        posterior, or the likelihood is that of the output error.
     """
     timer = Timer()
-    tables = problem.config.tables
-    settings, vary = tables.sampling, list(tables.pooling.vary)
-    if seed is not None:
-        settings = settings.model_copy(update={"seed": seed})
-    _check(problem, vary)
-    choice = starting_point(problem, progress=progress).choice
-    noise, priors = problem.with_noise(choice)
+    if model.config.tables.mechanism.auto:
+        model = model.completed(progress=progress)[0]
+    vary, settings = list(model.config.tables.pooling.vary), model.settings(seed)
+    _check(model, vary)
+    choice = model.starting_point(progress=progress).choice
+    noise, priors = model.with_noise(choice)
     targets, posteriors, discrepancies = [], [], []
     explained: list[Explanation] = []
-    for k, observation in enumerate(problem.observations):
+    for k, observation in enumerate(model.observations):
         progress(Progress(f"recording {observation.name}"))
-        target = make_target(problem.chain, [observation], priors, "shared", noise)
-        with problem.config.named():
+        target = make_target(model.chain, [observation], priors, "shared", noise)
+        with model.config.named():
             single = fit(target, settings.model_copy(update={"seed": settings.seed + k}))
         if single.posterior.diagnostics.status == "unusable":
             raise BadInput(
@@ -91,13 +104,13 @@ def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Po
             )
         targets.append(single.target)
         posteriors.append(single.posterior)
-        explained.append(problem.alone(k).explain(progress=progress))
+        explained.append(model.alone(k).explain(progress=progress))
         discrepancies.append(discrepancy(single.target, single.posterior, explained[-1].missing))
-    names = [o.name for o in problem.observations]
+    names = [o.name for o in model.observations]
     progress(Progress("all recordings together"))
     joint = JointTarget(targets, names, vary, posteriors, settings.seed)
     posterior = sample(joint, joint.start, settings)  # type: ignore[arg-type]
-    units = {p.name: p.unit for p in problem.chain.parameters}
+    units = {p.name: p.unit for p in model.chain.parameters}
     draws = joint.widened(posterior, discrepancies)
     jointly = varying_parts(posterior, draws, names, vary, LEVEL)
     findings = tuple(
@@ -131,15 +144,15 @@ def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Po
         ),
         findings=findings,
         problems=posterior.diagnostics.problems,
-        warnings=check(problem).warnings,
+        warnings=check(model).warnings,
         seconds=timer.seconds,
         cpu_seconds=timer.cpu_seconds,
     )
 
 
-def _check(problem: Problem, vary: Sequence[str], *, largest: int = 12) -> None:
+def _check(model: Model, vary: Sequence[str], *, largest: int = 12) -> None:
     """Refuse what cannot be pooled, such as more recordings than the ``largest`` posterior."""
-    names = problem.chain.names
+    names = model.chain.names
     if not vary:
         what = "names no parameter that varies"
         raise BadInput("pooling.vary", what, 'write for example { "motor.viscous" = "recording" }')
@@ -148,18 +161,18 @@ def _check(problem: Problem, vary: Sequence[str], *, largest: int = 12) -> None:
             raise BadInput(
                 f"pooling.vary.{name}", "the mechanism has no such parameter", nearest(name, names)
             )
-        if problem.priors[name].fixed:
+        if model.priors[name].fixed:
             raise BadInput(f"pooling.vary.{name}", "is fixed", "give it a prior")
-    if all(name in vary for name in names if not problem.priors[name].fixed):
+    if all(name in vary for name in names if not model.priors[name].fixed):
         raise BadInput(
             "pooling.vary",
             "names every parameter, and nothing is shared",
             "fit each recording alone, and 'bayesfric compare' the runs",
         )
-    if problem.config.tables.likelihood.method != "input-error":
+    if model.config.tables.likelihood.method != "input-error":
         what = "recordings are pooled by their torque"
         raise BadInput("likelihood.method", what, 'take "input-error"')
-    count = len(problem.observations)
+    count = len(model.observations)
     if count < 2:
         raise BadInput("recordings", "one recording is not a population", "add another")
     if count > largest:

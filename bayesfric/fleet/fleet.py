@@ -32,8 +32,7 @@ from bayesfric.fleet.results import (
     results_table,
 )
 from bayesfric.fleet.workers import check_dask, fit_units, is_fitted
-from bayesfric.problem.config import read_document, read_toml
-from bayesfric.problem.config_text import document_text
+from bayesfric.problem.config import document_text, read_document, read_toml
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 if TYPE_CHECKING:

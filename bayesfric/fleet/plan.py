@@ -19,8 +19,13 @@ from pydantic import Field, model_validator
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.base.options import Options
 from bayesfric.base.safe_read import read_text
-from bayesfric.problem.config import checked_toml, parse_config, read_document, read_toml
-from bayesfric.problem.config_text import document_text
+from bayesfric.problem.config import (
+    checked_toml,
+    document_text,
+    parse_config,
+    read_document,
+    read_toml,
+)
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -34,7 +34,7 @@ from bayesfric.recordings.observation import Observation
 class Fit:
     """A posterior with its target and what was examined of it.
 
-    :class:`bayesfric.fit.result.Result` adds model and summary.
+    :class:`bayesfric.fit.model.Result` adds model and summary.
     """
 
     target: Target  # in the coordinates that were sampled

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+import tomlkit
+from pydantic import BaseModel, Field, ValidationError
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import InlineTable, Table
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import Options, configuration_error
@@ -22,12 +27,15 @@ from bayesfric.inference.likelihood import LikelihoodMethod
 from bayesfric.inference.noise import NoiseScale
 from bayesfric.inference.priors import PriorText
 from bayesfric.inference.sampling import Sampling
-from bayesfric.mechanism.configuration import MechanismOptions
+from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.source import Processing, Source
+from bayesfric.recordings.source import Processing, Recording, Source
 
+# Name of a model made in Python, in messages.
+_MODEL = Path("Model")
 # Name of the configuration in a run directory.
 RUN_CONFIG = "config.toml"
 
@@ -111,28 +119,16 @@ class Tables(Options):
     simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate'")
 
 
-class FittedFile(BaseModel):
-    """The file of a recording at the time of the fit."""
-
-    model_config = ConfigDict(frozen=True)
-
-    file: Path
-    sha256: str
-
-
 class Origin(BaseModel):
     """Original places of a run's configuration and recordings, ``source`` in ``summary.json``."""
 
-    model_config = ConfigDict(frozen=True)
-
     folder: Path
-    recordings: dict[str, FittedFile]
+    recordings: dict[str, dict[str, str]]  # ``file`` and its ``sha256`` by name
 
 
-class Config(BaseModel):
+@dataclass(frozen=True)
+class Config:
     """A configuration and its file."""
-
-    model_config = ConfigDict(frozen=True)
 
     path: Path
     text: str  # of the file
@@ -146,7 +142,7 @@ class Config(BaseModel):
         If fitted files are missing there, it is the run's.
         """
         origin = self.origin
-        if origin and all(recording.file.exists() for recording in origin.recordings.values()):
+        if origin and all(Path(file["file"]).exists() for file in origin.recordings.values()):
             return origin.folder
         return self.path.parent
 
@@ -156,7 +152,7 @@ class Config(BaseModel):
         return Origin(
             folder=folder.absolute(),
             recordings={
-                r.name: FittedFile(file=r.path.absolute(), sha256=r.sha256)
+                r.name: {"file": str(r.path.absolute()), "sha256": r.sha256}
                 for r in recordings
                 if r.path
             },
@@ -192,8 +188,7 @@ class Config(BaseModel):
 
 def read_config(path: Path) -> Config:
     """Read and validate a configuration."""
-    text = read_toml(path)
-    return parse_config(text, path).model_copy(update={"origin": _origin(path)})
+    return replace(parse_config(read_toml(path), path), origin=_origin(path))
 
 
 def read_toml(path: Path) -> str:
@@ -207,7 +202,9 @@ def _origin(path: Path) -> Origin | None:
     if path.name != RUN_CONFIG or not summary.is_file():
         return None
     try:
-        return Origin.model_validate(read_json(summary)["source"])
+        origin = Origin.model_validate(read_json(summary)["source"])
+        complete = all({"file", "sha256"} <= file.keys() for file in origin.recordings.values())
+        return origin if complete else None
     except (BadInput, ValueError, LookupError, TypeError):
         return None
 
@@ -228,8 +225,8 @@ def read_document(text: str, path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except ValueError as error:
         what = f"is not TOML ({str(error).partition(';')[0]})"
-        mend = 'write key = value, each key once, with text in "quotes"'
-        raise BadInput(str(path), what, mend) from None
+        hint = 'write key = value, each key once, with text in "quotes"'
+        raise BadInput(str(path), what, hint) from None
 
 
 def checked_toml(text: str, path: Path, model: type[OptionsModel], kind: str) -> OptionsModel:
@@ -252,3 +249,127 @@ def _flatten(
             yield from _flatten(value, leaf, f"{name}.")
         else:
             yield name, value
+
+
+def config_of(document: Mapping[str, Any]) -> Config:
+    """Write tables as a configuration, and validate it."""
+    return parse_config(document_text(document), _MODEL)
+
+
+def document_text(document: Mapping[str, Any], path: Path = _MODEL) -> str:
+    """Write tables as the text of a configuration; ``path`` is for messages."""
+    return tomlkit.dumps(_plain(document, f"{path}: "))
+
+
+def _plain(value: Any, where: str) -> Any:
+    """Convert models, arrays and paths to TOML types; keys that are ``None`` are dropped."""
+    value = value.tolist() if hasattr(value, "tolist") else value  # NumPy's
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="json", exclude_unset=True)
+    if isinstance(value, Mapping):
+        inside = where if where.endswith(" ") else f"{where}."
+        return {str(k): _plain(v, f"{inside}{k}") for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [_plain(element, where) for element in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, bool | int | float | str):
+        return value
+    raise BadInput(where, f"got {type(value).__name__}", "give a number, text, a list or a table")
+
+
+def toml_value(value: Any) -> str:
+    """Write one value in one line."""
+    if not isinstance(value, Mapping):
+        return str(tomlkit.item(value).as_string())
+    table = tomlkit.inline_table()
+    table.update(value)
+    return f"{{ {table.as_string()[1:-1]} }}"
+
+
+def with_settings(config: Config, settings: Sequence[str]) -> Config:
+    """Return a configuration with settings, lines of dotted keys, added.
+
+    Comments are preserved, and lists extended.
+    """
+    text = config.text
+    for line in settings:
+        setting = tomllib.loads(line)
+        try:
+            document = tomlkit.parse(text)
+        except TOMLKitError:  # it mistakes a header below dotted keys for a second table
+            document = tomlkit.parse(tomlkit.dumps(tomllib.loads(text)))
+        has_table = _put(document, setting)
+        text = tomlkit.dumps(document)
+        if not has_table:
+            text = f"{text.rstrip()}\n\n{tomlkit.dumps(setting)}"
+    return replace(parse_config(text, config.path), origin=config.origin)
+
+
+def _put(table: Any, setting: Mapping[str, Any]) -> bool:
+    """Set one key before the comments that end its table; False if that table is missing."""
+    ((key, value),) = setting.items()
+    current = table.get(key)
+    if isinstance(current, Mapping):
+        return _put(current, value)
+    if isinstance(value, Mapping) and not isinstance(table, InlineTable):
+        return False
+    if isinstance(value, list) and isinstance(current, list):
+        value = [*current, *(x for x in value if x not in current)]
+    body = table.value.body if isinstance(table, Table) and current is None else []
+    comments: list[Any] = []
+    while body and body[-1][0] is None:
+        comments.insert(0, body.pop())
+    table[key] = value
+    body += comments
+    return True
+
+
+def mechanism_table(joint: Joint) -> dict[str, Any]:
+    """Write a joint as a ``[mechanism]`` table."""
+    offset = "per-recording" if joint.own_offsets else joint.offset
+    terms = [term.name for term in joint.terms] or None
+    table = {"offset": offset, "gain": joint.gain, "terms": terms, "delay": joint.delay}
+    if joint.made_from in PRESETS:
+        base = PRESETS[joint.made_from].chain()
+        if (base.elements, base.load) == (joint.elements, joint.load):
+            return {"preset": joint.made_from, **table}
+    elements = {element.name: _chosen(element, ElementOptions) for element in joint.elements}
+    return {**table, "load": _chosen(joint.load, LoadOptions), "elements": elements}
+
+
+def recording_table(recording: Recording, number: int) -> dict[str, Any]:
+    """Write a recording as a ``[[recordings]]`` table, as a run saves it."""
+    source = recording.source
+    if not isinstance(source, Source):
+        source = recording.filed(saved_name(number))
+        return {"name": f"recording-{number}", **source.model_dump(mode="json", exclude_unset=True)}
+    folder = str(recording.folder.absolute())
+    files = [
+        str(Path(glob.escape(folder) if glob.has_magic(f) else folder, f)) for f in source.files
+    ]
+    return {**source.model_dump(mode="json", exclude_unset=True), "file": files}
+
+
+def saved_name(number: int) -> str:
+    """Name the file of a table in memory in a run directory."""
+    return f"recordings/recording-{number}.csv"
+
+
+def _chosen(item: Any, options: type[BaseModel]) -> dict[str, Any]:
+    values = {**vars(item), **item.choices}
+    return {
+        key: v
+        for key, v in values.items()
+        if key in options.model_fields and v != options.model_fields[key].default
+    }
+
+
+def prior_value(prior: Any) -> Any:
+    """Write a prior as a configuration does; a frozen distribution of SciPy by its name."""
+    family = getattr(prior, "dist", None)
+    if family is None:
+        return prior
+    names = [*(family.shapes or "").replace(",", " ").split(), "loc", "scale"]
+    values = {**dict(zip(names, prior.args, strict=False)), **prior.kwds}
+    return {"distribution": family.name, **{key: float(x) for key, x in values.items()}}

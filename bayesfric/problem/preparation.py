@@ -6,8 +6,12 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
-from bayesfric.base.errors import BadInput
+import numpy as np
+
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.estimates.processing import (
     BandFit,
@@ -20,6 +24,7 @@ from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import MAX_ORDER, Autoregressive
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, as_knowledge
+from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
@@ -95,8 +100,8 @@ def _read_all(
         measurements += _read(config, chain, recording, number)
     fitted = config.origin.recordings if config.origin else {}
     for k, r in enumerate(measurements):
-        if r.name in fitted and fitted[r.name].sha256 != r.sha256:
-            text = f"changed since the run was made: its SHA-256 was {fitted[r.name].sha256}"
+        if r.name in fitted and fitted[r.name]["sha256"] != r.sha256:
+            text = f"changed since the run was made: its SHA-256 was {fitted[r.name]['sha256']}"
             measurements[k] = replace(r, warnings=(*r.warnings, text))
     _check_recordings(config, chain, measurements)
     return measurements
@@ -170,23 +175,16 @@ def _with_refined_motion(
 
 def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measurement]) -> None:
     """Refuse duplicate and reserved names, and held-out data for simulations."""
+    where, tables = f"{config.path}: recordings", config.tables
     for name, count in Counter(r.name for r in recordings).items():
         if count > 1:
-            raise BadInput(
-                f"{config.path}: recordings",
-                f"{count} are called {name!r}",
-                "give each a name of its own with name = ...",
-            )
+            raise BadInput(where, f"{count} are called {name!r}", "give each its own name = ...")
         # posterior.nc names arrays after recordings and parameters
         if "/" in name or name in {*chain.names, "chain", "draw", "lp", "ensemble"}:
-            raise BadInput(
-                f"{config.path}: recordings",
-                f"a recording cannot be called {name!r}",
-                "give it another name with name = ...",
-            )
-    tables = config.tables
-    wanted = tables.validation.recordings or tables.validation.hold_out is not None
-    if wanted and tables.likelihood.method == "output-error":
+            problem = f"a recording cannot be called {name!r}"
+            raise BadInput(where, problem, "give it another name with name = ...")
+    holds_out = tables.validation.recordings or tables.validation.hold_out is not None
+    if holds_out and tables.likelihood.method == "output-error":
         raise BadInput(
             f"{config.path}: validation",
             "is not offered for the output-error likelihood",
@@ -270,3 +268,26 @@ def _read(config: Config, chain: Joint, recording: Recording, number: int) -> li
             f"cannot be read ({error.strerror})",
             "check the file's name",
         ) from None
+
+
+def references(
+    config: Config, chain: Joint, observations: Sequence[Observation]
+) -> dict[str, dict[str, Any]]:
+    """Return values to compare with, by name; refuse names that no result has."""
+    units = {p.name: p.unit for p in chain.parameters}
+    middle = np.ones((1, len(chain.names)))
+    units |= {q.name: q.unit for q in derive(chain, middle, 1.0)}
+    projection = TotalsProjection(chain, observations)
+    for name, label in zip(projection.names, projection.labels, strict=True):
+        units[label] = projection.describe(name)[0]
+    converted, aliases = {}, projection.aliases()
+    for key, reference in config.references.items():
+        name = key if key in units else aliases.get(key, key)
+        if name not in units or (name != key and name in config.references):
+            raise BadInput(
+                f"{config.path}: references.{key}",
+                "no result of this mechanism has that name",
+                nearest(key, units),
+            )
+        converted[name] = {**reference.model_dump(), "unit": units[name]}
+    return converted

@@ -14,14 +14,19 @@ from scipy.stats import chi2
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.fit.result import Result, result_of
+from bayesfric.fit.model import Model, Result
+from bayesfric.fit.result import result_of
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import autocorrelation
 from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import Joint
-from bayesfric.problem.config import parse_config, read_document, read_toml
-from bayesfric.problem.config_text import document_text, recording_table
-from bayesfric.problem.problem import Problem
+from bayesfric.problem.config import (
+    document_text,
+    parse_config,
+    read_document,
+    read_toml,
+    recording_table,
+)
 from bayesfric.recordings.arrays import Array, Flags, without_excluded
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law, Measurement
@@ -326,7 +331,7 @@ def recordings_of_config(
         raise BadInput(
             f"{path}: mechanism", "is not the run's", "leave it out: it is taken from the run"
         )
-    problem = Problem.from_config(config, terms=run.joint.terms, recordings=recordings)
+    problem = Model.from_config(config, terms=run.joint.terms, recordings=recordings)
     parts = [*zip(problem.recordings, problem.observations, strict=True)]
     parts += [(x.recording, x.observation) for x in problem.held_out]
     return [PreparedRecording(m, o, _part(run, m)) for m, o in parts]

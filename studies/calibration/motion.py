@@ -31,7 +31,6 @@ from bayesfric import Model
 from bayesfric.base.errors import BadInput
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.problem.problem import starting_point
 from bayesfric.recordings.observation import with_motion
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.summary import summarise
@@ -82,10 +81,10 @@ def run_case(task: tuple[str, int]) -> dict[str, Any]:
 
 def rows(model: Model, true: dict[str, float]) -> dict[str, Any]:
     """Sample; return error in sds, coverage and sd of each number with verdict ``data``."""
-    start = starting_point(model)
+    start = model.starting_point()
     sampling = model.config.tables.sampling.model_copy(update={"seed": 1, "min_ess": 1000.0})
     result = fit(start.target, sampling, estimates=start.estimates)
-    summary = summarise(result, model.references(), start.choice, groups(result))
+    summary = summarise(result, model.references, start.choice, groups(result))
     return {
         key: [
             (row.mean - true[key]) / row.sd,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,7 @@ def at_cutoff(config: Config, cutoff: float) -> dict[str, Estimate]:
     """Estimate with another cut-off frequency of the low-pass, in Hz."""
     processing = config.tables.processing.model_copy(update={"lowpass": cutoff})
     tables = config.tables.model_copy(update={"processing": processing})
-    problem = Model.from_config(config.model_copy(update={"tables": tables}))
+    problem = Model.from_config(replace(config, tables=tables))
     return {e.method: e for e in problem.estimates(("input-error", "output-error"))}
 
 

@@ -89,9 +89,10 @@ def whole_way(number: int) -> list[bool]:
         made.append(bf.Recording.from_arrays(TIME, q, measured, name=f"run {k}"))
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
     joint = bf.Joint([motor], load=bf.Load(first_moment=True), offset=True)
-    found = bf.Model(
+    model = bf.Model(
         joint, made, noise="white", vary={"motor.viscous": "recording"}, sampling={"min_ess": 1000}
-    ).pool(seed=number)
+    )
+    found = bf.pool(model, seed=number)
     jointly = found.varying[0].jointly
     following = MEAN + SPREAD * rng.standard_normal()
     return [

@@ -34,7 +34,7 @@ from bench import Bench, told
 from joints import BENCHES, recorded
 from lacking import true_values
 
-from bayesfric import Model
+from bayesfric import Model, pool
 from bayesfric.population.population import Interval
 
 SEED, RECORDINGS, VARIES, SPREAD = 43, 5, "motor.viscous", 0.1
@@ -63,7 +63,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
         model = Model(
             bench.joint, recordings, **bench.tables, pooling={"vary": {VARIES: "recording"}}
         )
-        found = model.pool(seed=number)
+        found = pool(model, seed=number)
     true = true_values(common, [p.name for p in found.shared])
     (varying,) = found.varying
     return {

@@ -44,7 +44,7 @@ def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
             "noise": tables.noise.model_copy(update=NOISES[noise]),
         }
     )
-    problem = Model.from_config(config.model_copy(update={"tables": tables}))
+    problem = Model.from_config(replace(config, tables=tables))
     estimates = problem.estimates(("least-squares", "input-error"))
     points = [dict(estimate.point) for estimate in estimates if estimate.point]
     result = fit(problem.target(points[0]), tables.sampling, estimates=estimates)

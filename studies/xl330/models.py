@@ -6,6 +6,7 @@ input error to the runs of three position gains, and predicts the torque of the 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ def errors(options: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
         recordings = tuple(f"2026-01-15_{name}" for name in names)
         validation = config.tables.validation.model_copy(update={"recordings": recordings})
         tables = config.tables.model_copy(update={"validation": validation})
-        model = Model.from_config(config.model_copy(update={"tables": tables}))
+        model = Model.from_config(replace(config, tables=tables))
         chain = Joint((Element("motor", **options),), model.chain.load, gain=True)
         estimation = model.config.tables.estimation
         estimate = input_error(chain, model.observations, Knowledge(), estimation)

@@ -17,8 +17,7 @@ from held_out import GAINS
 
 import bayesfric as bf
 from bayesfric.base.atomic_write import jsonable
-from bayesfric.problem.config import parse_config
-from bayesfric.problem.config_text import document_text
+from bayesfric.problem.config import document_text, parse_config
 
 PATH = Path(__file__).with_name("xl330-rollout.toml")
 # Terms that `bayesfric explain` names first on these runs.

@@ -6,8 +6,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.fit.model import Model
-from bayesfric.problem.config import parse_config, read_config
-from bayesfric.problem.config_text import with_settings
+from bayesfric.problem.config import parse_config, read_config, with_settings
 
 from .bench import JOINT, has, recorded
 

@@ -386,7 +386,7 @@ def test_pool_prints_what_python_returns(bench):
     bench.config(JOINT + tables + short + '[pooling]\nvary = { "motor.viscous" = "recording" }\n')
     has(bench.refused("fit", "c.toml", "-o", "run"), "bayesfric pool")
     printed = bench.record("pool", "c.toml")
-    pooled = bf.Model.from_config(bench.folder / "c.toml").pool()
+    pooled = bf.pool(bf.Model.from_config(bench.folder / "c.toml"))
     returned = json.loads(json.dumps(pooled.as_json()))
     assert returned["warnings"] == list(bf.check(bench.folder / "c.toml").warnings)
     times = {"seconds": 0, "cpu_seconds": 0}

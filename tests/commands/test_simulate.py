@@ -2,7 +2,6 @@
 
 import json
 from importlib.resources import files
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import typer
 
 from bayesfric.commands import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.fit.fit import may_be_simulated
+from bayesfric.fit.conclusion import may_be_simulated
 from bayesfric.problem.config import parse_config, read_config
 
 from .bench import CONFIG
@@ -78,7 +77,7 @@ def test_packaged_recordings_are_simulated_from_table_3(stem, mass, radius, tmp_
 def test_a_configuration_with_a_simulation_may_be_simulated(tmp_path):
     for text, expected in ((CONFIG, False), (SIMULATION, True)):
         config = parse_config(text, tmp_path / "c.toml")
-        assert may_be_simulated(SimpleNamespace(config=config, recordings=())) == expected
+        assert may_be_simulated(config, ()) == expected
 
 
 @pytest.mark.parametrize("command", sorted(typer.main.get_command(cli.app).commands))

@@ -8,7 +8,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.export.joint_model import Trajectory
 from bayesfric.export.point_estimate import parameter_vectors
-from bayesfric.fit.result import Result
+from bayesfric.fit.model import Result
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque

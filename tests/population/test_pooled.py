@@ -9,9 +9,9 @@ from scipy.integrate import quad
 import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Finding
+from bayesfric.fit.model import Model
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.population.joint_runs import JointTarget
-from bayesfric.problem.problem import Problem
 from tests.axis import AXIS, VALUES, swing
 from tests.inference.test_discrepancy import regression
 
@@ -37,7 +37,7 @@ def model(vary=("motor.viscous",), count=4, **tables):
 
 @pytest.fixture(scope="module")
 def pool():
-    return model().pool(seed=1)
+    return bf.pool(model(), seed=1)
 
 
 def test_each_recordings_value_is_recovered_and_the_others_are_shared(pool):
@@ -66,7 +66,7 @@ def test_an_effect_missing_in_all_recordings_does_not_average_out(pool, monkeypa
     monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", discrepancy)
     before, after = (
         {parameter.name: parameter.value for parameter in each.shared}["offset"]
-        for each in (pool, model().pool(seed=1))
+        for each in (pool, bf.pool(model(), seed=1))
     )
     # of two normals 90 % intervals are 3.29 sds wide
     sds = [(interval.high - interval.low) / 3.29 for interval in (before, after)]
@@ -82,14 +82,14 @@ def test_marginalised_effects_are_notes_and_others_are_doubts(widened, monkeypat
     missing = replace(regression(1.0), kinds={"stribeck": ((0,),)})
     effect = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
     explained = Explanation(findings=(effect,), kinds=("stribeck",), missing=missing)
-    monkeypatch.setattr(Problem, "explain", lambda *_, **__: explained)
+    monkeypatch.setattr(Model, "explain", lambda *_, **__: explained)
 
     def discrepancy(target, *_):
         k = len(target.free)
         return Discrepancy(float(widened), np.zeros((1, k)), np.zeros(k), np.eye(k))
 
     monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", discrepancy)
-    pool = model(count=2, sampling=QUICK | {"min_ess": 100}).pool(seed=3)
+    pool = bf.pool(model(count=2, sampling=QUICK | {"min_ess": 100}), seed=3)
     assert {finding.severity for finding in pool.findings} == {"note" if widened else "doubt"}
     assert [parameter.findings for parameter in pool.varying] == [() if widened else ("stribeck",)]
     assert pool.outcome == ("usable" if widened else "doubtful")
@@ -118,7 +118,7 @@ def test_the_population_mean_is_integrated_exactly():
 
 def test_the_same_seed_gives_the_same_numbers():
     few = QUICK | {"min_ess": 100}
-    first, second = (model(count=2, sampling=few).pool(seed=3) for _ in range(2))
+    first, second = (bf.pool(model(count=2, sampling=few), seed=3) for _ in range(2))
     assert first.varying == second.varying
     assert first.shared == second.shared
 
@@ -136,5 +136,5 @@ def test_the_same_seed_gives_the_same_numbers():
 )
 def test_what_cannot_be_pooled_is_refused(changes, message):
     with pytest.raises(bf.BadInput, match=r"pooling|likelihood|recordings") as error:
-        model(**changes).pool()
+        bf.pool(model(**changes))
     assert message in str(error.value)

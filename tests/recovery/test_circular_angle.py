@@ -37,7 +37,7 @@ def arm(folder, angle, prior="", mechanism=""):
 
 
 def fitted(folder, angle):
-    """Fit it; nobody looks at the figures."""
+    """Fit a recording, without figures."""
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
         return fit(arm(folder, angle), folder / "run")
@@ -76,9 +76,9 @@ def test_an_upright_arm_has_an_uncut_posterior(turned):
     assert -np.pi - row["sd"] < centre <= np.pi + row["sd"]
     assert row["at_bound"] is None
     assert not [text for text in summary["warnings"] if ANGLE in text]
-    for found in summary["estimates"].values():
-        rows = found["parameters"]
-        assert all(one["at_bound"] is None for one in rows.values())
+    for estimate in summary["estimates"].values():
+        rows = estimate["parameters"]
+        assert all(row["at_bound"] is None for row in rows.values())
         if ANGLE in rows:
             assert abs(round_the_circle(rows[ANGLE]["value"] - angle)) < 0.05
 
@@ -94,17 +94,13 @@ def test_a_turned_zero_changes_nothing_but_the_angle(turned, hanging):
         assert abs(apart) < 0.25 * still["sd"], name
         assert row["sd"] == pytest.approx(still["sd"], rel=0.2), name
         assert row["verdict"] == still["verdict"], name
-    for method, found in summary["estimates"].items():
-        for name, one in found["parameters"].items():
-            still = hanging["estimates"][method]["parameters"][name]
+    for method, estimate in summary["estimates"].items():
+        for name, row in estimate["parameters"].items():
+            apart = row["value"] - hanging["estimates"][method]["parameters"][name]["value"]
             if name == ANGLE:
-                assert round_the_circle(one["value"] - still["value"] - angle) == pytest.approx(
-                    0.0, abs=0.02 * one["sd"]
-                )
-            elif not name.startswith("total.gravity"):  # sine and cosine of the angle
-                assert one["value"] == pytest.approx(
-                    still["value"], abs=0.02 * (one["sd"] or 1e-9)
-                ), (method, name)
+                apart = round_the_circle(apart - angle)
+            if not name.startswith("total.gravity"):  # sine and cosine of the angle
+                assert abs(apart) <= 0.02 * (row["sd"] or 1e-9), (method, name)
 
 
 @pytest.mark.parametrize(
@@ -117,17 +113,15 @@ def test_a_turned_zero_changes_nothing_but_the_angle(turned, hanging):
     ],
 )
 def test_a_prior_may_lie_on_any_branch(tmp_path, angle, prior):
-    problem = Model.from_config(arm(tmp_path, angle, prior))
-    for found in problem.estimates():
-        if found.point:
-            value = dict(found.point)[ANGLE]
-            assert abs(round_the_circle(value - angle)) < 0.05
-            assert found[ANGLE].at_bound is None
-    given = problem.priors[ANGLE]
-    within = given.turned(float(angle))
-    assert given.lower <= within <= given.upper
-    point = dict(problem.estimates(("input-error",))[0].point)
-    target = problem.target(point)
+    model = Model.from_config(arm(tmp_path, angle, prior))
+    for estimate in model.estimates():
+        if estimate.point:
+            assert abs(round_the_circle(dict(estimate.point)[ANGLE] - angle)) < 0.05
+            assert estimate[ANGLE].at_bound is None
+    configured = model.priors[ANGLE]
+    assert configured.lower <= configured.turned(float(angle)) <= configured.upper
+    point = dict(model.estimates(("input-error",))[0].point)
+    target = model.target(point)
     used = target.priors[target.free.index(ANGLE)]
     # far from any cut where the prior leaves the branch open
     assert used.lower + 0.2 < used.turned(angle) < used.upper - 0.2
@@ -142,9 +136,8 @@ def test_a_part_of_the_circle_bounds_and_can_be_widened(tmp_path):
 
 
 def test_identify_draws_on_both_sides_of_pi(tmp_path):
-    problem = Model.from_config(arm(tmp_path, np.pi))
-    found = problem.identification()
-    prospect = {p.name: p for p in found.parameters}[ANGLE]
+    identification = Model.from_config(arm(tmp_path, np.pi)).identification()
+    prospect = {p.name: p for p in identification.parameters}[ANGLE]
     assert prospect.on_bound is None
     assert abs(round_the_circle(prospect.value - np.pi)) < 0.05
 
@@ -153,10 +146,10 @@ def test_runs_on_either_side_of_pi_agree(hanging):
     """3.13 and -3.13 are 0.02 apart."""
     here, there = ({**hanging, "parameters": dict(hanging["parameters"])} for _ in range(2))
     for run, middle in ((here, 3.13), (there, -3.13)):
-        told = {"mean": middle, "median": middle, "sd": 0.02, "interval": [middle - 0.03] * 2}
-        told["interval"][1] += 0.06
-        run["parameters"][ANGLE] = hanging["parameters"][ANGLE] | told | {"verdict": "data"}
-        del run["parameters"][ANGLE]["reported"]  # concluded anew, of what is told here
+        interval = [middle - 0.03, middle + 0.03]
+        row = {"mean": middle, "median": middle, "sd": 0.02, "interval": interval}
+        run["parameters"][ANGLE] = hanging["parameters"][ANGLE] | row | {"verdict": "data"}
+        del run["parameters"][ANGLE]["reported"]  # it follows from these numbers
     row = comparison({"here": here, "there": there})[ANGLE]
     cell = row.cells["there: posterior"]
     assert abs(cell.disagreement) < 1.0

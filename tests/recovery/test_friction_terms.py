@@ -1,8 +1,7 @@
-"""Every friction term: found again from simulated recordings, and missed where left out.
+"""Every friction term is recovered from simulated recordings, and missed where left out.
 
-The recordings are simulated with the forward model, measured through an encoder
-and a noisy torque, read back from a file and processed with the defaults: the
-whole way of a user's data.
+Recordings are simulated with the forward model, measured through an encoder and a noisy torque,
+read from a file and processed with the defaults, as a user's are.
 """
 
 import json
@@ -161,47 +160,42 @@ SLOW = {
     params=[*CASES, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)],
 )
 def case(request, tmp_path_factory):
-    made = (CASES | SLOW)[request.param]
+    case = (CASES | SLOW)[request.param]
     folder = tmp_path_factory.mktemp("recovery")
-    config = parse_config(made.text(), folder / "case.toml")
+    config = parse_config(case.text(), folder / "case.toml")
     truth = simulate(config, folder / "recording.csv")
-    problem = Model.from_config(config)
-    return problem, fit(problem.white_target(), config.tables.sampling), truth, made.missed
+    model = Model.from_config(config)
+    return model, fit(model.white_target(), config.tables.sampling), truth, case.missed
 
 
-def test_every_term_is_found_again(case):
-    problem, result, truth, _ = case
+def test_every_term_is_recovered(case):
+    model, result, truth, _ = case
     assert result.posterior.diagnostics.status == "reliable"
     for name in result.target.free:
         draws = result.posterior[name]
         true = truth["parameters"][name]["value"]
         assert abs(draws.mean() - true) < 4.0 * draws.std(), name
-        prior = problem.priors[name]
-        # found, not just allowed: the data narrowed the prior
-        assert draws.std() < 0.7 * prior.sd(), name
+        # the data narrowed the prior
+        assert draws.std() < 0.7 * model.priors[name].sd(), name
+    # the residual is the torque's own noise, as the filter passes it, not model error
+    taps = model.observations[0].filter.taps
+    expected = truth["simulation"]["torque_noise"] * np.sqrt((taps**2).sum())
+    assert result.posterior["noise.sigma"].mean() == pytest.approx(expected, rel=0.25)
 
 
 @pytest.mark.slow
 def test_each_term_left_out_is_missed_in_the_residual(case):
     """A nested model without the term fits worse than chance: 1 degree of freedom, 5 sigma."""
-    problem, result, _, terms = case
+    model, result, _, terms = case
     best = result.posterior.flat().mean(axis=0)[None]
     full = result.target.likelihood.sum_of_squares(result.target.chain_values(best)).sum()
     variance = result.posterior["noise.sigma"].mean() ** 2
     for term in terms:
-        priors = problem.priors | {term: fixed(0.0)}
-        target = make_target(problem.chain, problem.observations, priors, "shared")
-        kept = [j for j, name in enumerate(result.target.names) if name != term]
-        draws = result.posterior.flat()[:: max(1, len(result.posterior.flat()) // 50)][:, kept]
+        priors = model.priors | {term: fixed(0.0)}
+        target = make_target(model.chain, model.observations, priors, "shared")
+        others = [j for j, name in enumerate(result.target.names) if name != term]
+        draws = result.posterior.flat()[:: max(1, len(result.posterior.flat()) // 50)][:, others]
         mode = climb(target, target.from_parameters(draws))
         parameters, _ = target.to_parameters(mode[None])
         without = target.likelihood.sum_of_squares(target.chain_values(parameters)).sum()
         assert (without - full) / variance > 25.0, term
-
-
-def test_the_inverse_of_the_posterior_explains_the_torque(case):
-    """What is left is the torque's own noise, as the filter passes it, not model error."""
-    problem, result, truth, _ = case
-    taps = problem.observations[0].filter.taps
-    expected = truth["simulation"]["torque_noise"] * np.sqrt((taps**2).sum())
-    assert result.posterior["noise.sigma"].mean() == pytest.approx(expected, rel=0.25)

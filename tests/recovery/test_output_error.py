@@ -23,15 +23,9 @@ seed = 4
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("axis")
-    simulated(folder / "axis.toml", CONFIG)
-    return folder / "run", fit(read_config(folder / "axis.toml"), folder / "run")
-
-
-def test_the_truth_and_both_noises_are_found(run):
-    _, summary = run
+def test_the_truth_and_both_noises_are_recovered(tmp_path):
+    simulated(tmp_path / "axis.toml", CONFIG)
+    summary = fit(read_config(tmp_path / "axis.toml"), tmp_path / "run")
     assert summary["sampler"]["status"] == "reliable"
     rows = summary["parameters"]
     count = 2.0 * np.pi / 65536
@@ -40,11 +34,11 @@ def test_the_truth_and_both_noises_are_found(run):
         assert abs(rows[name]["mean"] - value) < 4.0 * rows[name]["sd"], name
         assert rows[name]["verdict"] == "data", name
     assert (rows["noise.torque"]["unit"], rows["noise.position"]["unit"]) == ("N m", "rad")
-
-
-def test_the_archive_holds_positions_and_as_many_terms_as_states_leave(run):
-    folder, _ = run
-    data = xr.load_datatree(folder / "posterior.nc")
+    # an axis that hardly sticks can be linearised
+    assert summary["likelihood"]["linearisation"] < 0.5
+    assert not any("linearised" in text for text in summary["warnings"])
+    # the archive holds positions
+    data = xr.load_datatree(tmp_path / "run" / "posterior.nc")
     (name,) = data["observed_data"].data_vars
     outputs = data["observed_data"][name].size
     assert data["posterior_predictive"][name].shape[-1] == outputs
@@ -53,20 +47,14 @@ def test_the_archive_holds_positions_and_as_many_terms_as_states_leave(run):
     assert data["log_likelihood"][terms].shape[-1] == outputs - 12
 
 
-def test_an_axis_that_hardly_sticks_can_be_linearised(run):
-    _, summary = run
-    assert summary["likelihood"]["linearisation"] < 0.5
-    assert not any("linearised" in text for text in summary["warnings"])
-
-
 def test_an_axis_that_often_sticks_is_refused_before_sampling(tmp_path):
     """No linearisation describes an axis between sticking and moving."""
     simulated(tmp_path / "axis.toml", CONFIG.replace("amplitude = 3.0", "amplitude = 1.0"))
     config = read_config(tmp_path / "axis.toml")
-    told = []
+    phases = []
     with pytest.raises(BadInput, match="cannot be linearised") as caught:
-        fit(config, tmp_path / "run", progress=lambda p: told.append(p.phase))
+        fit(config, tmp_path / "run", progress=lambda p: phases.append(p.phase))
     assert caught.value.where == f'{config.path}: likelihood.method = "output-error"'
     assert "input-error" in caught.value.hint
-    assert "warm-up" not in told
+    assert "warm-up" not in phases
     assert not (tmp_path / "run").exists()

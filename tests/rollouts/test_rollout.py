@@ -62,7 +62,7 @@ position = {{ column = "q", unit = "rad" }}
 
 @pytest.fixture(scope="module")
 def joint():
-    from bayesfric.problem.config_text import config_of
+    from bayesfric.problem.config import config_of
 
     return config_of({"mechanism": {"preset": "motor-axis", "load": {"first_moment": True}}}
                      ).tables.mechanism.joint()  # fmt: skip

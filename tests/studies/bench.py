@@ -4,6 +4,7 @@ import importlib
 import json
 import sys
 
+import numpy as np
 import pytest
 
 from tests.conftest import REPOSITORY
@@ -16,27 +17,26 @@ def committed(path):
 
 
 def results(path):
-    """Give a fixture of what a study's committed result says."""
+    """Return a fixture of a study's committed result."""
+    return pytest.fixture(scope="module")(lambda: committed(path))
+
+
+def scripts(name, folders):
+    """Return a fixture of a script that imports others from these folders."""
 
     @pytest.fixture(scope="module")
-    def result():
-        return committed(path)
-
-    return result
-
-
-def scripts(*names, folders):
-    """Give a fixture of scripts that import each other from their folders: one, or a list."""
-
-    @pytest.fixture(scope="module")
-    def study():
+    def script():
         added = [str(STUDIES / folder) for folder in folders]
         sys.path[:0] = added
         try:
-            found = [importlib.import_module(name) for name in names]
+            return importlib.import_module(name)
         finally:
             for path in added:
                 sys.path.remove(path)
-        return found[0] if len(names) == 1 else found
 
-    return study
+    return script
+
+
+def medians_agree(first, second, sd, draws=1000):
+    """Whether medians of so many independent draws each are within five standard errors."""
+    return abs(first - second) < 5.0 * sd * np.sqrt(np.pi / 2.0 * 2.0 / draws)

@@ -1,14 +1,19 @@
-"""Published values on real recordings, through the studies' own configurations."""
+"""Real recordings by the configurations of studies: published values, held-out predictions."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
+from bayesfric.inference.posterior import predict_held_out
 from bayesfric.problem.config import parse_config, read_config
-from tests.conftest import REPOSITORY
+from bayesfric.report.summary.parts import validation_record
+from tests.conftest import DATA, REPOSITORY
+
+from .bench import committed
 
 pytestmark = pytest.mark.usefixtures("real_data")
 
@@ -87,3 +92,53 @@ def test_xl330_voltage_is_signed_duty_times_supply_less_back_emf():
     # the package's speed is low-passed at 20 Hz, this one is not: encoder steps remain
     assert np.sqrt(np.mean(difference**2)) < 0.03 * np.std(expected)
     assert np.corrcoef(recording.torque[inner], expected[inner])[0, 1] > 0.999
+
+
+def predicted(name):
+    problem, result = run(name)
+    held_out = predict_held_out(result.target, result.posterior, problem.held_out)
+    record = validation_record(replace(result, held_out=held_out)).as_dict()["pooled"]
+    return problem, replace(result, held_out=held_out), record
+
+
+def test_the_gain_that_is_held_out():
+    """The files themselves say which runs have position gain 400."""
+    problem = Model.from_config(read_config(REPOSITORY / "studies/xl330/xl330-held-out.toml"))
+    gains = {
+        path.stem: json.loads(path.read_text())["kp"]
+        for path in (DATA / "xl330-pendulum").glob("*.json")
+    }
+    assert {part.name for part in problem.held_out} == {n for n, kp in gains.items() if kp == 400}
+    assert len(problem.recordings) == 12
+
+
+@pytest.mark.slow
+def test_xl330_predicts_the_runs_of_another_gain_as_it_did():
+    """With a quarter of the draws, as the committed result says."""
+    _, result, pooled = predicted("xl330/xl330-held-out.toml")
+    before = committed("xl330/held_out.json")["white, one scale"]["400"]
+    assert pooled["outputs"] == before["outputs"]
+    assert pooled["verdict"] == before["verdict"]
+    # Torque of 400 draws scatters by less than the noise, so means are off by a twentieth of that
+    # at most; about two sds of it pass each end of the interval where the density is 0.103.
+    for key in ("residual_rms", "predictive_sd"):
+        assert pooled[key] == pytest.approx(before[key], rel=0.05), key
+    share, old = (record["coverage"]["0.9"]["share"] for record in (pooled, before))
+    assert share == pytest.approx(old, abs=2.0 * 2.0 * 0.103 / 20.0)
+    # once more by hand: the mean draw's torque, and plain quantiles of the noise
+    sigma = result.posterior["noise.sigma"].mean()
+    inside = [np.abs(p.measured - p.mean) < 1.6449 * sigma for p in result.held_out]
+    assert np.concatenate(inside).mean() == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.slow
+def test_emps_predicts_its_last_fifth():
+    problem, _, pooled = predicted("emps/emps-held-out.toml")
+    (held,) = problem.held_out
+    samples = problem.recordings[0].time.size + held.recording.time.size
+    # a gap of a window of 81 samples and ten outputs of ten
+    assert samples == 24841 - 181
+    assert pooled["verdict"] == "covered"
+    # autocorrelated
+    cover = pooled["coverage"]["0.9"]
+    assert cover["effective_outputs"] < 0.6 * pooled["outputs"]

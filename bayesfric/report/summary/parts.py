@@ -72,7 +72,9 @@ def validation_record(fit: Fit) -> dict[str, Any]:
         "predictive": how,
         "quantity": outputs.quantity,
         "unit": outputs.unit,
-        "parts": {p.held_out.name: _held_out([p], outputs, p.held_out.held_out) for p in fit.held_out},
+        "parts": {
+            p.held_out.name: _held_out([p], outputs, p.held_out.held_out) for p in fit.held_out
+        },
         "pooled": _held_out(fit.held_out, outputs, "all together"),
     }
 

@@ -1,26 +1,27 @@
-"""The method, step by step: choose the model, estimate, sample, examine, conclude."""
+"""Check a sampled posterior, and conclude: numbers with intervals, findings and doubts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.assemble import collinear_losses
-from bayesfric.fit.result import Result
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, identify, speed_term
-from bayesfric.inference import fitting
-from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.posterior import StictionViolation, predict_held_out, stiction_violations
-from bayesfric.inference.sampling import Sampling
-from bayesfric.problem.problem import Problem, StartingPoint, starting_point
+from bayesfric.inference.noise import NoiseChoice
+from bayesfric.inference.posterior import StictionViolation, stiction_violations
+from bayesfric.inference.priors import Prior
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.joint import Joint
+from bayesfric.problem.config import Config
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import add_model_error, find_doubts, put_doubts
 from bayesfric.report.summary.parts import friction_part, self_check_doubts, self_check_part
@@ -29,82 +30,63 @@ from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
 
 
-def fit(
-    problem: Problem, sampling: Sampling, *, output_error: bool, progress: ProgressCallback
-) -> Result:
-    """Sample a problem and summarise the posterior; see :meth:`bayesfric.Model.fit`."""
-    tables = problem.config.tables
-    if tables.pooling.vary:
-        raise BadInput(
-            "pooling.vary",
-            "is for 'bayesfric pool': a fit shares all parameters between recordings",
-            "run that, or leave the table out",
-        )
-    # choose the model
-    included: Sequence[Finding] = ()
-    explained: Explanation | None = None
-    if tables.mechanism.auto:
-        problem, included, explained = problem.completed(progress=progress)
-    # estimate
-    start = starting_point(problem, output_error=output_error, progress=progress)
-    _refuse_collinear_losses(problem, start)
-    explained = explained or problem.explain(start.estimates, progress=progress)
-    # sample
-    with problem.config.named():
-        sampled = fitting.fit(start.target, sampling, estimates=start.estimates, progress=progress)
-    if problem.held_out:
-        held_out = predict_held_out(sampled.target, sampled.posterior, problem.held_out)
-        sampled = replace(sampled, held_out=held_out)
-    # examine and conclude
-    errors = discrepancy(sampled.target, sampled.posterior, explained.missing)
-    sampled = replace(sampled, discrepancy=errors)
-    summary = _conclude(problem, start, sampled, explained, included, progress)
-    return Result.of_fit(problem, sampled, summary)
+@dataclass(frozen=True)
+class StartingPoint:
+    """Estimates, noise and log-posterior to start sampling from."""
+
+    estimates: list[Estimate]  # least squares first
+    missing: list[str]  # a sentence for each that failed
+    choice: NoiseChoice | None  # None if the noise is configured
+    target: Target  # the log-posterior
+
+    @property
+    def searched(self) -> Estimate:
+        """The first estimate with all parameters; there always is one."""
+        return next(estimate for estimate in self.estimates if estimate.point)
 
 
-def _refuse_collinear_losses(problem: Problem, start: StartingPoint) -> None:
+def refuse_collinear_losses(
+    config: Config, chain: Joint, priors: Mapping[str, Prior], start: StartingPoint
+) -> None:
     """Refuse load-dependent friction of several elements that is not identifiable."""
-    known = [name for name, prior in problem.priors.items() if not prior.default]
-    if names := collinear_losses(problem.chain, start.searched, known):
+    known = [name for name, prior in priors.items() if not prior.default]
+    if names := collinear_losses(chain, start.searched, known):
         first, *_, last = names
         raise BadInput(
-            f"{problem.config.path}: mechanism.elements.{last.partition('.')[0]}.load_loss",
+            f"{config.path}: mechanism.elements.{last.partition('.')[0]}.load_loss",
             f"these recordings cannot distinguish {', '.join(names)}, load losses in series",
             f'set load_loss = "none" in all elements but one, or give {first} a number or a '
             "narrow range under [priors]",
         )
 
 
-def _conclude(
-    problem: Problem,
+def conclude(
+    config: Config,
+    recordings: Sequence[Measurement],
+    references: Mapping[str, Mapping[str, Any]],
     start: StartingPoint,
-    sampled: Fit,
+    fit: Fit,
     explained: Explanation,
     included: Sequence[Finding],
-    progress: ProgressCallback,
+    contradicted: Mapping[str, tuple[float, float]],
 ) -> Summary:
     """Check a posterior, and summarise it: numbers with intervals, and doubts."""
-    target, posterior, tables = sampled.target, sampled.posterior, problem.config.tables
+    target, posterior, tables = fit.target, fit.posterior, config.tables
     checked: CalibrationCheck | None = None
     if tables.self_check.recordings != 0:
-        checked = calibration_check(target, posterior, problem.observations, explained)
-    progress(Progress("identifiability"))
+        checked = calibration_check(target, posterior, fit.observations, explained)
     directions: list[OpenDirection] = []
     with suppress(BadInput):  # the median may be impossible to simulate
         directions += identify(start.target, posterior.median).directions
     violations: list[StictionViolation] = []
     if posterior.diagnostics.status != "unusable":
         violations += stiction_violations(
-            target,
-            sampled.wide.posterior,
-            sampled.residuals,
-            problem.recordings,
-            tables.processing,
+            target, fit.wide.posterior, fit.residuals, recordings, tables.processing
         )
-    derived = groups(sampled)
-    summary = summarise(sampled, problem.references(), start.choice, derived)
-    summary = add_model_error(summary, sampled, derived)
-    summary = _with_back_emf(summary, speed_term(start.target, problem.recordings))
+    derived = groups(fit)
+    summary = summarise(fit, references, start.choice, derived)
+    summary = add_model_error(summary, fit, derived)
+    summary = _with_back_emf(summary, speed_term(start.target, recordings))
     findings = explained.with_severity(widened=summary.widened)
     update: dict[str, Any] = {
         "fit": summary.fit.model_copy(update={"rests": violations}),
@@ -119,23 +101,22 @@ def _conclude(
         "identifiability": summary.identifiability.model_copy(update={"directions": directions}),
         "warnings": [*summary.warnings, *start.missing],
         # a data file does not say that it is simulated; the configuration may
-        "may_be_simulated": may_be_simulated(problem),
+        "may_be_simulated": may_be_simulated(config, recordings),
     }
     summary = summary.model_copy(update=update)
-    contradicted = problem.contradicted(dict(start.searched.point))
-    doubts = find_doubts(sampled, summary, contradicted)
+    doubts = find_doubts(fit, summary, contradicted)
     if checked is not None:
-        part = self_check_part(sampled, summary, checked, derived)
+        part = self_check_part(fit, summary, checked, derived)
         summary = summary.model_copy(update={"self_check": part})
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)
-    return summary.model_copy(update={"friction": friction_part(sampled, summary)})
+    return summary.model_copy(update={"friction": friction_part(fit, summary)})
 
 
-def may_be_simulated(problem: Problem) -> bool:
+def may_be_simulated(config: Config, recordings: Sequence[Measurement]) -> bool:
     """Whether there are simulation options or true parameters; ``init`` writes an empty table."""
-    options = problem.config.tables.simulation
-    paths = [recording.path for recording in problem.recordings if recording.path is not None]
+    options = config.tables.simulation
+    paths = [recording.path for recording in recordings if recording.path is not None]
     has_truth = any(path.with_suffix(".truth.json").is_file() for path in paths)
     return has_truth or (
         options is not None and any(options.model_dump(exclude_unset=True).values())
