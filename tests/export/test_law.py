@@ -23,7 +23,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.recordings.measurement import AT_ROOM
 
-from ..mechanism.joints import EVERYTHING, everything
+from ..mechanism.joints import EVERYTHING, EVERYTHING_VALUES
 from ..report.conftest import EVERYTHING as OTHERS
 from .made import finished_posterior
 
@@ -33,7 +33,7 @@ NAMES = ("plain", "rabbit-knee", "servo-pendulum", "motor-axis")
 
 
 def unusual():
-    """Give terms that `everything` has not, at values of their own."""
+    """Give terms that `EVERYTHING` has not, at values of their own."""
     joint = replace(OTHERS, delay=True)
     values = np.random.default_rng(3).uniform(0.02, 0.1, len(joint.names))
     at = dict(zip(joint.names, values, strict=True)) | {"drive.gain": 1.1, "drive.delay": 1e-3}
@@ -117,7 +117,7 @@ def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, com
 
 @pytest.mark.parametrize("case", ["everything", "unusual"])
 def test_every_term_is_written_out(case, compiler, tmp_path):
-    joint, values = (everything(), EVERYTHING) if case == "everything" else unusual()
+    joint, values = (EVERYTHING, EVERYTHING_VALUES) if case == "everything" else unusual()
     vector = joint.vector(values)
     q, qd, qdd = motion()
     # at room temperature as a recording begins, of a torque that does not change
@@ -171,7 +171,7 @@ def test_ros2_control_has_a_file_of_parameters_and_a_law_that_cpp_compiles(tmp_p
 
 
 def test_friction_is_what_losses_add():
-    joint, values = everything(), EVERYTHING
+    joint, values = EVERYTHING, EVERYTHING_VALUES
     lossless = {
         name: 0.0 if "gravity" not in name and "stribeck_v" not in name else value
         for name, value in values.items()
@@ -205,13 +205,13 @@ def test_an_offset_is_no_friction(compiler, tmp_path):
 
 
 def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):
-    joint = everything()
-    call = compiled(compiler, c_files(joint, joint.vector(EVERYTHING)), tmp_path)
+    joint = EVERYTHING
+    call = compiled(compiler, c_files(joint, joint.vector(EVERYTHING_VALUES)), tmp_path)
     rng = np.random.default_rng(8)
     odd = [math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1e308, -1e308, 1e-3, 1e20, -3.0]
-    python = python_of(joint, joint.vector(EVERYTHING))
+    python = python_of(joint, joint.vector(EVERYTHING_VALUES))
     torque, friction = call("joint_torque"), call("joint_friction")
-    single = compiled(compiler, c_files(joint, joint.vector(EVERYTHING)), tmp_path, SINGLE)
+    single = compiled(compiler, c_files(joint, joint.vector(EVERYTHING_VALUES)), tmp_path, SINGLE)
     single = single("joint_torque")
     seen = set()
     for _ in range(2000):
@@ -231,8 +231,8 @@ def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):
 
 
 def test_smoothing_makes_losses_grow_from_rest(compiler, tmp_path):
-    joint = everything()
-    files = c_files(joint, joint.vector(EVERYTHING))
+    joint = EVERYTHING
+    files = c_files(joint, joint.vector(EVERYTHING_VALUES))
     sharp = compiled(compiler, files, tmp_path)("joint_friction")
     smooth = compiled(compiler, files, tmp_path, "-DJOINT_SMOOTH=0.5")("joint_friction")
     assert sharp(0.3, 0.0, 0.0)[0] == smooth(0.3, 0.0, 0.0)[0]
