@@ -83,8 +83,8 @@ def __getattr__(name: str) -> Any:
     # rooms and plot, which holds the figures, stay modules
     module = name in ("export", "plot", "report")
     home = import_module(f"bayesfric.{name if module else _HOMES[name]}")
-    found = globals()[name] = home if module else getattr(home, name)
-    return found
+    value = globals()[name] = home if module else getattr(home, name)
+    return value
 
 
 def __dir__() -> list[str]:

@@ -14,9 +14,9 @@ from bayesfric.report.figures.registry import RUN_FIGURES
 from bayesfric.results.roll_out import RollOut
 
 
-def rollout(found: RollOut) -> Figure:
+def rollout(result: RollOut) -> Figure:
     """Draw what :func:`bayesfric.rollout` gives: measured positions in their bands."""
-    return rollout_figure(found)
+    return rollout_figure(result)
 
 
 def __getattr__(name: str) -> Callable[[Any], Figure]:

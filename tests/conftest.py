@@ -26,7 +26,7 @@ from hypothesis import settings
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs, Measurement
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # a busy machine is no defect of what is tested
 settings.register_profile("untimed", deadline=None)
@@ -45,7 +45,7 @@ LONG = {
     "commands": """
         doubts estimate explain fit identify runs""",
     "diagnostics": """
-        calibration_check explanation regression""",
+        replicates explanation regression""",
     "estimates": """
         assemble input_error output_error processing""",
     "export": """
@@ -173,7 +173,7 @@ def made_observation(name, time, motion, torque, taken, period, inputs, **more):
         "segment_of": np.zeros(taken.n_outputs, dtype=np.int64), "steps": (), "warnings": (),
         "settings": {},
     }  # fmt: skip
-    return Observation(**(given | more))
+    return Signals(**(given | more))
 
 
 @pytest.fixture(scope="session")

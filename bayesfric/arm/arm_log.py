@@ -17,7 +17,6 @@ from bayesfric.base.options import configuration_error
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, lowpass_above, reach_of
 from bayesfric.recordings.measurement import Measurement, spread_ranges
-from bayesfric.recordings.observation import filtered_motion
 from bayesfric.recordings.read import (
     Drive,
     chosen_rows,
@@ -27,6 +26,7 @@ from bayesfric.recordings.read import (
 )
 from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import named, recognise
+from bayesfric.recordings.signals import filtered_motion
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source, Torque
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
@@ -178,7 +178,7 @@ class ArmLog:
             return joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
             hint = f"{error.hint}; or give its constant position: joints.{joint.name}.held = 0.0"
-            raise BadInput(error.where, f"joint {joint.name!r}: {error.what}", hint) from None
+            raise BadInput(error.where, f"joint {joint.name!r}: {error.problem}", hint) from None
 
     def _joint_motion(self, joint: UrdfJoint) -> Measurement | float:
         """Read the motion of a joint, or its constant position."""

@@ -34,7 +34,7 @@ from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.posterior import Posterior, predict_held_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT
-from bayesfric.report.page.rendering import render
+from bayesfric.report.page.pages import render
 from bayesfric.report.summary.derived_quantities import leaning, spread
 from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import PosteriorRow

@@ -98,9 +98,9 @@ def check_output_folder(folder: Path, *, force: bool | None, marker: str = "summ
         if folder.is_dir() and any(folder.iterdir()):
             marked = (folder / marker).is_file()
             if not (force and marked):
-                what = f"is not empty, and holds no '{marker}'" if force else "is not empty"
+                problem = f"is not empty, and holds no '{marker}'" if force else "is not empty"
                 replace = ", or replace it with --force" if marked and force is not None else ""
-                raise BadInput(str(folder), what, f"name another folder with -o{replace}")
+                raise BadInput(str(folder), problem, f"name another folder with -o{replace}")
         # rights, read-only disks and /proc all refuse differently: try it
         parent = next(p for p in absolute(folder).parents if os.path.lexists(p))
         TemporaryFile(dir=parent).close()
@@ -117,8 +117,8 @@ def run_lock(folder: Path) -> Iterator[None]:
         target.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=0)
     except Timeout:
-        what = "another process is making this run"
-        raise BadInput(str(folder), what, "wait for it, or name another with -o") from None
+        problem = "another process is making this run"
+        raise BadInput(str(folder), problem, "wait for it, or name another with -o") from None
     except OSError as error:
         raise unwritable(folder, error, "folder") from None
     try:

@@ -13,29 +13,29 @@ class BadInput(Exception):
     ----------
     where
         The file, column, row or key at fault, as the user wrote it.
-    what
+    problem
         What is wrong with it.
     hint
         What to do about it. The three are attributes, too.
     """
 
-    def __init__(self, where: str, what: str, hint: str) -> None:
+    def __init__(self, where: str, problem: str, hint: str) -> None:
         self.where = _one_line(where)
-        self.what = _one_line(what)
+        self.problem = _one_line(problem)
         self.hint = _one_line(hint)
-        super().__init__(f"{self.where}: {self.what}; {self.hint}")
+        super().__init__(f"{self.where}: {self.problem}; {self.hint}")
 
     def __reduce__(self) -> tuple[type[BadInput], tuple[str, str, str]]:
         # an exception is made again from its message alone, in another process too
-        return type(self), (self.where, self.what, self.hint)
+        return type(self), (self.where, self.problem, self.hint)
 
 
 class Unfit(ValueError):
-    """Raised by a model's validator: ``wanted`` as ``"a mass"``, ``what`` as ``"got '2 m'"``."""
+    """Raised by a model's validator: ``wanted`` as ``"a mass"``, ``problem`` as ``"got '2 m'"``."""
 
-    def __init__(self, wanted: str, what: str) -> None:
-        self.wanted, self.what = wanted, what
-        super().__init__(f"expected {wanted}, {what}")
+    def __init__(self, wanted: str, problem: str) -> None:
+        self.wanted, self.problem = wanted, problem
+        super().__init__(f"expected {wanted}, {problem}")
 
 
 class Interrupted(Exception):

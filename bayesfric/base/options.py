@@ -43,8 +43,8 @@ def configuration_error(
     where = prefix + (".".join(words) or name)
     if first["type"] == "extra_forbidden":
         return BadInput(where, "unknown key", nearest(words[-1], _known_keys(place, model)))
-    what, hint = _worded(first, [e["msg"] for p, e in deeper if p == place])
-    return BadInput(where, what, hint)
+    problem, hint = _worded(first, [e["msg"] for p, e in deeper if p == place])
+    return BadInput(where, problem, hint)
 
 
 def _place(location: Sequence[int | str], document: Any) -> list[int | str]:
@@ -65,7 +65,7 @@ def _worded(first: Any, messages: Sequence[str]) -> tuple[str, str]:
     if first["type"] == "value_error":
         error = first["ctx"]["error"]
         fits = isinstance(error, Unfit)
-        return (error.what, f"give {error.wanted}") if fits else (str(error), "correct it")
+        return (error.problem, f"give {error.wanted}") if fits else (str(error), "correct it")
     if first["type"] == "literal_error" and isinstance(first["input"], str):
         choices = re.findall(r"'(\w[^']*)'", first["ctx"]["expected"])
         if choices and "True" not in first["ctx"]["expected"]:

@@ -73,8 +73,8 @@ def open_hdf5(path: Path, hint: str = "check the name") -> Iterator[h5py.File]:
         with h5py.File(path, "r") as file:
             yield file
     except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-        what = f"is not a whole file of its kind ({type(error).__name__}: {error})"
-        raise BadInput(str(path), what, hint) from None
+        problem = f"is not a whole file of its kind ({type(error).__name__}: {error})"
+        raise BadInput(str(path), problem, hint) from None
 
 
 def read_array(dataset: h5py.Dataset) -> NDArray[Any]:

@@ -31,8 +31,8 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     truth_file = target.with_suffix(".truth.json")
     with suppress(OSError):  # write_files reports an impossible name
         if target.is_file() and not truth_file.exists():
-            what = "exists, and without its .truth.json may be a measurement"
-            raise BadInput(str(target), what, "name another file with -o")
+            problem = "exists, and without its .truth.json may be a measurement"
+            raise BadInput(str(target), problem, "name another file with -o")
     with config.named():
         chain = config.tables.mechanism.joint()
         _check(options, chain)
@@ -71,8 +71,8 @@ def _check(options: Simulation, chain: Joint, most_samples: int = 10_000_000) ->
     """Refuse options that are impossible together; so many samples take some minutes."""
     samples = options.duration * options.rate
     if samples > most_samples:
-        what = f"makes {samples:.2g} samples at rate = {options.rate:g}"
-        raise BadInput("simulation.duration", what, f"stay below {most_samples:.0e}")
+        problem = f"makes {samples:.2g} samples at rate = {options.rate:g}"
+        raise BadInput("simulation.duration", problem, f"stay below {most_samples:.0e}")
     if not options.frequencies:
         raise BadInput("simulation.frequencies", "is empty", "name at least one, in Hz")
     if options.added_mass and not options.radius and chain.load.motion == "rotary":

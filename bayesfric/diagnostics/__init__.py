@@ -6,5 +6,5 @@
   table in :mod:`~bayesfric.diagnostics.candidates`.
 - :mod:`~bayesfric.diagnostics.replicates`: simulated replicates of recordings (a parametric
   bootstrap), the null distribution of every statistic here.
-- :mod:`~bayesfric.diagnostics.calibration_check`: the bias of a fit, from these replicates.
+  :func:`~bayesfric.diagnostics.explanation.calibration_check`: the bias of a fit, from these.
 """

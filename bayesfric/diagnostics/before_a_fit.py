@@ -19,13 +19,13 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, effort_words, quantity_of
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # Share of the torque's variance that a model should explain if its residual is not white.
 EXPLAINED = 0.8
 
 
-def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+def little_explained(chain: Joint, observations: Sequence[Signals]) -> list[dict[str, Any]]:
     """Doubt a mechanism that explains less than 80 % even with its best base parameters.
 
     A white residual is no doubt: a small signal in white noise may have the right model.
@@ -38,12 +38,12 @@ def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[
     return [{"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}]
 
 
-def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+def doubts_before(totals: Estimate, observations: Sequence[Signals]) -> list[dict[str, Any]]:
     """Collect doubts of recordings and their base parameters."""
     return [*_feedback_laws(observations), *_attenuated(observations), *_negative_losses(totals)]
 
 
-def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterator[dict[str, Any]]:
+def few_outputs(observations: Sequence[Signals], parameters: int) -> Iterator[dict[str, Any]]:
     """Report too few outputs to test the model, and how long a recording would suffice."""
     outputs, wanted = sum(o.measured.size for o in observations), parameters + LEAST_OUTPUTS
     if outputs < wanted:
@@ -60,14 +60,14 @@ def against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[d
         yield {"kind": "prior", "values": values, "priors": times}
 
 
-def strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+def strange_velocity(observations: Sequence[Signals]) -> Iterator[dict[str, Any]]:
     """Report recorded velocities that differ from the position's derivative by a factor."""
     for o in observations:
         if (factor := o.settings.get("velocity_factor")) is not None:
             yield {"kind": "velocity", "recording": o.name, "factor": factor}
 
 
-def _feedback_laws(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+def _feedback_laws(observations: Sequence[Signals]) -> Iterator[dict[str, Any]]:
     """Group recordings by the feedback law that their torque follows."""
     laws: dict[str, list[str]] = {}
     for o in observations:
@@ -77,7 +77,7 @@ def _feedback_laws(observations: Sequence[Observation]) -> Iterator[dict[str, An
         yield {"kind": "feedback", "law": law, "recordings": names}
 
 
-def _attenuated(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+def _attenuated(observations: Sequence[Signals]) -> Iterator[dict[str, Any]]:
     """Report requested bands that attenuate the inertia."""
     settings = {o.name: o.settings for o in observations if "band_narrower" in o.settings}
     bands = {n: [float(x["band_doubted"]), float(x["band_narrower"])] for n, x in settings.items()}
@@ -101,7 +101,7 @@ def _negative_losses(totals: Estimate, sds: float = 3.0) -> Iterator[dict[str, A
         yield {"kind": "negative", "values": below}
 
 
-def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
+def best_share(chain: Joint, observations: Sequence[Signals]) -> tuple[float, Array]:
     """Return the share of variance explained by base parameters, and the residual ``(n,)``."""
     projection = TotalsProjection(chain, observations)
     measured = np.concatenate([o.measured for o in observations])

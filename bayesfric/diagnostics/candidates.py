@@ -22,9 +22,9 @@ from bayesfric.diagnostics.statistics import DELAYS, Key
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later, lowpass
-from bayesfric.recordings.observation import (
+from bayesfric.recordings.signals import (
     FAR_DELAYS,
-    Observation,
+    Signals,
     command_rate,
     target_torque,
 )
@@ -288,7 +288,7 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     """Return the change of the torque over each far delay, and its rate then, ``(N,)`` each.
 
     A position that is late by d belongs to the torque ``y(t - d)``, see
-    :mod:`bayesfric.recordings.observation`.
+    :mod:`bayesfric.recordings.signals`.
     """
     if m.chain.delay:
         return {}
@@ -311,7 +311,7 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     return dict(zip(delays, pairs, strict=True))
 
 
-def filtered_columns(o: Observation, columns: Sequence[Array], at_once: int = 8) -> Array:
+def filtered_columns(o: Signals, columns: Sequence[Array], at_once: int = 8) -> Array:
     """Filter columns ``(N,)``, a cache line of them at once, skipping those that are zero."""
     nonzero = [i for i, column in enumerate(columns) if column.any()]
     out = np.zeros((o.filter.n_outputs, len(columns)))

@@ -17,7 +17,7 @@ from bayesfric.mechanism.quantities import State, TypicalSizes
 from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.filters import derivative, lowpass
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # Terms of the load that a transmission carries, without friction.
 _WEIGHTS = frozenset({"first_moment", "spring", "spring_cubic"})
@@ -56,7 +56,7 @@ class Scales:
         return max(0.25, self.duration / 120.0)
 
 
-def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
+def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> Scales:
     """Compute the scales of columns from recordings at parameters ``(n_parameters,)``."""
 
     def of_outputs(signals: Sequence[Array]) -> Array:
@@ -102,14 +102,14 @@ def _rms(x: Array) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
+def _carried(chain: Joint, values: Array, o: Signals, *, still: bool = False) -> Array:
     """Motor torque ``(N,)`` of inertia, gravity and springs; without inertia if ``still``."""
     is_carried = [p.quantity in _CARRIED or p.row.option == "signals" for p in chain.parameters]
     at_rest = replace(o, qdd=np.zeros_like(o.q)) if still else o
     return _torque(chain, np.where(is_carried, values, 0.0), at_rest)
 
 
-def _torque(chain: Joint, values: Array, o: Observation) -> Array:
+def _torque(chain: Joint, values: Array, o: Signals) -> Array:
     """Motor torque ``(N,)`` of the whole model."""
     return inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
 
@@ -120,7 +120,7 @@ class MotionSignals:
 
     chain: Joint
     values: Array  # (n_parameters,)
-    o: Observation  # preprocessed
+    o: Signals  # preprocessed
     recording: Measurement  # as read
     scales: Scales  # of all recordings
 

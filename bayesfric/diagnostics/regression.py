@@ -68,7 +68,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.source import Processing
 
 Severity = Literal["note", "doubt"]
@@ -159,14 +159,14 @@ class Regression:
 
     # Noise
 
-    def _choose_noise(self, most: int = 8, cost: float = 10.0) -> None:
+    def _choose_noise(self, max_count: int = 8, cost: float = 10.0) -> None:
         """Choose the noise on what remains after including effects; add it to the replicates.
 
         Each effect costs twice the log of the number of candidates.
         """
         self._add_noise(WHITE, [])
         inclusions: list[list[int]] = [[]]
-        for effect, extra in self._forward_selection(most, for_noise=True):
+        for effect, extra in self._forward_selection(max_count, for_noise=True):
             if effect.significant:
                 inclusions.append([*extra, *effect.columns])
         best, layout = math.inf, self.data.layout
@@ -210,14 +210,14 @@ class Regression:
         """Kinds that are collinear with the model's own columns on this motion."""
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
-    def effects(self, most: int = MAX_EFFECTS) -> list[Finding]:
+    def effects(self, max_count: int = MAX_EFFECTS) -> list[Finding]:
         """Forward-select missing effects; the last one may be the best that is not significant."""
-        effects = [effect for effect, _ in self._forward_selection(most)]
+        effects = [effect for effect, _ in self._forward_selection(max_count)]
         self.included = [effect for effect in effects if effect.significant]
         return effects
 
     def _forward_selection(
-        self, most: int, *, for_noise: bool = False
+        self, max_count: int, *, for_noise: bool = False
     ) -> Iterator[tuple[Finding, list[int]]]:
         """Include one candidate after the other; yield each with the columns included before it.
 
@@ -225,7 +225,7 @@ class Regression:
         with a candidate that is not significant.
         """
         extra: list[int] = []
-        for _ in range(most):
+        for _ in range(max_count):
             effect, worth = self._select(extra, for_noise)
             yield effect if for_noise else self._fitted(effect, extra, worth), extra
             if not effect.significant:
@@ -413,7 +413,7 @@ class Regression:
 
     # Marginalisation
 
-    def missing(self, observations: Sequence[Observation]) -> Missing:
+    def missing(self, observations: Sequence[Signals]) -> Missing:
         """Return all candidates for marginalisation, after :meth:`effects`.
 
         A disturbance or far delay is included only if it was selected, and so is a kind with a
@@ -464,7 +464,7 @@ class Regression:
 def regression_of(
     chain: Joint,
     recordings: Sequence[Measurement],
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     processing: Processing,
     values: Array,
     known: Collection[str] = (),
@@ -476,7 +476,7 @@ def regression_of(
     scales, sizes = scales_of(chain, values, observations), np.maximum(np.abs(values), 1e-12)
     free = np.array([name not in known for name in chain.names])
 
-    def columns_at(vector: Array, observed: Sequence[Observation]) -> Columns:
+    def columns_at(vector: Array, observed: Sequence[Signals]) -> Columns:
         """Compute the model's and the candidates' columns."""
         blocks = []
         for o, r in zip(observed, recordings, strict=True):
@@ -534,7 +534,7 @@ def draw_parameters(
 
 
 def reported_gradients(
-    chain: Joint, values: Array, observations: Sequence[Observation]
+    chain: Joint, values: Array, observations: Sequence[Signals]
 ) -> dict[str, Array]:
     """Return derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
     d, load = values.size, typical_load(chain, observations, values)

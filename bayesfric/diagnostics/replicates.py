@@ -23,7 +23,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import Resolution, delayed_command, finest_step, later
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, observe, timed
+from bayesfric.recordings.signals import Signals, observe, timed
 from bayesfric.recordings.source import Processing
 
 
@@ -35,10 +35,10 @@ def replicates(
     chain: Joint,
     values: Array,
     recording: Measurement,
-    observation: Observation,
+    observation: Signals,
     processing: Processing,
     seeds: Sequence[np.random.SeedSequence],
-) -> Iterator[Observation | None]:
+) -> Iterator[Signals | None]:
     """Simulate a recording at parameters ``(n, n_parameters)``, preprocessed as the original."""
     fixed = fixed_processing(processing, observation)
     for vector, seed in zip(values, seeds, strict=True):
@@ -54,15 +54,15 @@ def subsample(
     chain: Joint,
     values: Array,
     recording: Measurement,
-    observation: Observation,
+    observation: Signals,
     processing: Processing,
-    most: int,
-) -> tuple[Measurement, Observation]:
+    max_count: int,
+) -> tuple[Measurement, Signals]:
     """Limit a recording to ``most`` samples, preprocessed as before.
 
     The motion is refined with parameters ``values`` ``(n_parameters,)``.
     """
-    short = recording.excerpt(most)
+    short = recording.excerpt(max_count)
     if short is recording:
         return recording, observation
     fixed = fixed_processing(processing, observation)
@@ -72,7 +72,7 @@ def subsample(
     return short, subsampled
 
 
-def fixed_processing(processing: Processing, observation: Observation) -> Processing:
+def fixed_processing(processing: Processing, observation: Signals) -> Processing:
     """Fix low-pass, decimation, dead zone and trim to what was used for a recording."""
     settings = observation.settings
     numbers = {key: settings[key] for key in ("lowpass", "decimate", "dead_zone", "trim")}
@@ -80,7 +80,7 @@ def fixed_processing(processing: Processing, observation: Observation) -> Proces
 
 
 def replicate_motion(
-    chain: Joint, values: Array, recording: Measurement, observation: Observation, phase: float
+    chain: Joint, values: Array, recording: Measurement, observation: Signals, phase: float
 ) -> tuple[Array, Array, Array]:
     """Return position, speed and torque ``(N,)`` of the recorded motion ``phase`` samples late."""
     o, period = observation, recording.period
@@ -103,7 +103,7 @@ def replicate_motion(
 
 def _measure(
     recording: Measurement,
-    observation: Observation,
+    observation: Signals,
     motion: tuple[Array, Array, Array],
     rng: np.random.Generator,
 ) -> Measurement | None:
@@ -139,9 +139,9 @@ def _preprocess(
     chain: Joint,
     values: Array,
     measured: Measurement,
-    observation: Observation,
+    observation: Signals,
     processing: Processing,
-) -> Observation | None:
+) -> Signals | None:
     """Filter and refine as the recording was; ``None`` if the filters leave no output."""
     settings, resolution = observation.settings, None
     if settings["motion"] != "refined":  # then the band is not searched

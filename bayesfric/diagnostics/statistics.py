@@ -25,7 +25,7 @@ from scipy.special import betainc, ndtri_exp
 from bayesfric.estimates import autoregression as ar
 from bayesfric.estimates.autoregression import follows
 from bayesfric.recordings.arrays import Array, Flags, Index
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # Share of recordings with a right model in which anything is reported as missing.
 FALSE_ALARMS = 0.05
@@ -62,7 +62,7 @@ class Layout:
     stamps: tuple[Array, ...]  # (M,) of each, s
 
     @classmethod
-    def of(cls, observations: Sequence[Observation]) -> Layout:
+    def of(cls, observations: Sequence[Signals]) -> Layout:
         """Read it from preprocessed recordings."""
         steps = [np.round((o.time - o.time[:1].sum()) / o.period) for o in observations]
         return cls(

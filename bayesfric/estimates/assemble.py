@@ -20,11 +20,11 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Parameter, State
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 
 def open_scalings(
-    joint: Joint, knowledge: Knowledge, observations: Sequence[Observation]
+    joint: Joint, knowledge: Knowledge, observations: Sequence[Signals]
 ) -> tuple[Scaling, ...]:
     """List the scalings that no known load or parameter fixes (section 4.2).
 
@@ -46,7 +46,7 @@ def open_scalings(
 
 
 def open_directions(
-    joint: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+    joint: Joint, knowledge: Knowledge, observations: Sequence[Signals], values: Array
 ) -> Array:
     """Give the tangents ``(k, d)`` of the open scalings at a vector ``(n_parameters,)``."""
     columns = [joint.names.index(name) for name in knowledge.free(joint)]
@@ -55,7 +55,7 @@ def open_directions(
 
 
 def centred(
-    joint: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+    joint: Joint, knowledge: Knowledge, observations: Sequence[Signals], values: Array
 ) -> Array:
     """Move a vector along open scalings to the geometric middle of what gearbox and limits allow.
 
@@ -98,7 +98,7 @@ def alpha_sign(p: Parameter) -> int:
 
 def assemble(
     joint: Joint,
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     knowledge: Knowledge,
     values: Array,
     information: Information,

@@ -19,7 +19,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from bayesfric.recordings.arrays import Array, Flags, Index
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # p-value of the Ljung-Box test from which a series passes as white.
 PASSES = 0.05
@@ -27,7 +27,7 @@ PASSES = 0.05
 CORRELATED = 0.2
 
 
-def follows(o: Observation) -> Flags:
+def follows(o: Signals) -> Flags:
     """Flag outputs ``(M - 1,)`` that are followed one period later in the same segment."""
     step = np.diff(o.filter.starts)
     return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
@@ -39,11 +39,11 @@ def runs(follows: Flags) -> tuple[Index, Index]:
     return begins, np.diff(np.append(begins, follows.size + 1))
 
 
-def ages(follows: Flags, most: int) -> Index:
+def ages(follows: Flags, max_count: int) -> Index:
     """Count the predecessors ``(M,)`` of each value in its run, up to ``most``."""
     begins, length = runs(follows)
     age = np.arange(follows.size + 1) - np.repeat(begins, length)
-    return np.asarray(np.minimum(age, most))
+    return np.asarray(np.minimum(age, max_count))
 
 
 def predictors(partial: Array) -> list[Array]:

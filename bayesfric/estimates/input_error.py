@@ -48,7 +48,7 @@ from bayesfric.estimates.torque import (
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # Splits of the totals to start from: load-dependent friction, and the motor's share.
 _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.7))
@@ -63,7 +63,7 @@ CONTRADICTED = 3.0
 
 def input_error(
     joint: Joint,
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     knowledge: Knowledge,
     options: Estimation,
     start: Mapping[str, float] | None = None,
@@ -115,7 +115,7 @@ def input_error(
 
 def contradicted(
     joint: Joint,
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     knowledge: Knowledge,
     options: Estimation,
     start: Mapping[str, float],
@@ -161,9 +161,7 @@ class Minimum(NamedTuple):
 class TorqueProblem:
     """Weighted residuals of the torque, and of priors, as a function of the free parameters."""
 
-    def __init__(
-        self, joint: Joint, observations: Sequence[Observation], knowledge: Knowledge
-    ) -> None:
+    def __init__(self, joint: Joint, observations: Sequence[Signals], knowledge: Knowledge) -> None:
         self.chain, self.observations, self.knowledge = joint, observations, knowledge
         # names of the d free parameters, and their indices among the joint's
         self.free = knowledge.free(joint)
@@ -290,7 +288,7 @@ class TorqueProblem:
 
 
 @contextmanager
-def few_threads(observations: Sequence[Observation], long: int = 200_000) -> Iterator[None]:
+def few_threads(observations: Sequence[Signals], long: int = 200_000) -> Iterator[None]:
     """Keep linear algebra to one thread, and compiled kernels below ``long`` samples.
 
     Between many short calls the threads of the kernels and those of linear algebra wait for each
@@ -564,7 +562,7 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
     return notes
 
 
-def _check(joint: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> None:
+def _check(joint: Joint, observations: Sequence[Signals], knowledge: Knowledge) -> None:
     """Refuse a fit with nothing free, equal limits, or too few outputs."""
     free = knowledge.free(joint)
     where = ", ".join(o.name for o in observations)

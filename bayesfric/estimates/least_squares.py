@@ -26,7 +26,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, TypicalSizes, effort_words
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # Quantile that is taken for the largest: a glitch must not set a scale.
 _NEARLY_ALL = 0.999
@@ -34,7 +34,7 @@ _NEARLY_ALL = 0.999
 
 def least_squares(
     joint: Joint,
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     projection: TotalsProjection | None = None,
 ) -> Estimate:
     """Estimate the motor-side totals of eq. (11).
@@ -115,7 +115,7 @@ def least_squares(
 class TotalsProjection:
     """The linear map from torques to the totals of eq. (11)."""
 
-    def __init__(self, joint: Joint, observations: Sequence[Observation]) -> None:
+    def __init__(self, joint: Joint, observations: Sequence[Signals]) -> None:
         self._chain = joint
         # of the k totals, such as inertia; (n_outputs, k), filtered like the measured torque
         self.names, self.regressors = totals_regressors(joint, observations)
@@ -255,7 +255,7 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
     return share if owner == motor else (1.0 - share) / len(others)
 
 
-def totals_regressors(joint: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
+def totals_regressors(joint: Joint, observations: Sequence[Signals]) -> tuple[list[str], Array]:
     """Name the k totals of eq. (11), and give their regressors ``(n_outputs, k)``, filtered."""
     kinds = {kind for p in joint.parameters for kind, _ in _regressors_of(joint, p)}
     loads = {o.inputs.load(joint.load.motion) for o in observations}
@@ -269,7 +269,7 @@ def totals_regressors(joint: Joint, observations: Sequence[Observation]) -> tupl
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))
 
 
-def typical_sizes(joint: Joint, observations: Sequence[Observation]) -> TypicalSizes:
+def typical_sizes(joint: Joint, observations: Sequence[Signals]) -> TypicalSizes:
     """Take the scales from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
@@ -304,7 +304,7 @@ def sizes_at(joint: Joint, owner: str, scales: TypicalSizes) -> TypicalSizes:
     )
 
 
-def _surely_taken(joint: Joint, observations: Sequence[Observation]) -> float:
+def _surely_taken(joint: Joint, observations: Sequence[Signals]) -> float:
     """Give the largest torque of a single term by least squares, less two standard deviations."""
     projection = TotalsProjection(joint, observations)
     with suppress(BadInput):
@@ -317,7 +317,7 @@ def _surely_taken(joint: Joint, observations: Sequence[Observation]) -> float:
     return 0.0
 
 
-def _rms_of(carried: CarriedTerm, observations: Sequence[Observation]) -> float:
+def _rms_of(carried: CarriedTerm, observations: Sequence[Signals]) -> float:
     """Root mean square torque of a custom or signal term, for a value of one."""
     at = [o.filter.centres for o in observations]
     arguments = [

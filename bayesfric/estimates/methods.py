@@ -16,7 +16,7 @@ from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.trajectory import Trajectory
 
 # Headings of results.
@@ -32,7 +32,7 @@ class EstimationInputs:
     """What estimates are made from."""
 
     chain: Joint
-    observations: Sequence[Observation]
+    observations: Sequence[Signals]
     knowledge: Knowledge
     options: Estimation
     # makes the recordings for simulation, not divided; called only where a method simulates

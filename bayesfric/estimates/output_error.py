@@ -32,7 +32,7 @@ from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.trajectory import Trajectory, divided
 
 # Relative steps of finite differences: measured, truncation and rounding are below 1e-7.
@@ -45,7 +45,7 @@ _WEIGHINGS, _RESTARTS, _STATE_STEPS = 4, 3, 20
 def output_error(
     joint: Joint,
     trajectories: Sequence[Trajectory],
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     knowledge: Knowledge,
     options: Estimation,
     start: Estimate,
@@ -254,7 +254,11 @@ def resolution(position: Array) -> float:
 
 
 def choose_substeps(
-    shooting: Shooting, values: Array, states: Array, small: float | None = None, most: int = 64
+    shooting: Shooting,
+    values: Array,
+    states: Array,
+    small: float | None = None,
+    limit: int = 64,
 ) -> tuple[int, float]:
     """Choose integration steps a sample: the fewest powers of two that err little.
 
@@ -267,7 +271,7 @@ def choose_substeps(
     while True:
         fine = shooting.positions(values[None], states, 2 * substeps)[0]
         error = float(np.nanmax(np.abs(fine - coarse))) * 16.0 / 15.0
-        if not error > small or substeps >= most:
+        if not error > small or substeps >= limit:
             return substeps, error
         substeps, coarse = 2 * substeps, fine
 
@@ -289,7 +293,7 @@ class OutputError:
         self,
         joint: Joint,
         trajectories: Sequence[Trajectory],
-        observations: Sequence[Observation],
+        observations: Sequence[Signals],
         knowledge: Knowledge,
         options: Estimation,
     ) -> None:
@@ -505,7 +509,7 @@ class OutputError:
     def _open_directions(self, values: Array) -> Array:
         return open_directions(self.chain, self.knowledge, self.observations, values)
 
-    def _at_minimum(self, projected: Array, *, most: float = 100.0) -> bool:
+    def _at_minimum(self, projected: Array, *, max_count: float = 100.0) -> bool:
         """Whether a full step promises less than ``most`` residual variances.
 
         Kinks of the torque and rounding stop a search although one promises some.
@@ -522,7 +526,7 @@ class OutputError:
         by_states = residual @ residual - projected[:, 0] @ projected[:, 0]
         gain = float(by_states + target @ target - rest @ rest)
         # residuals that are rounding cannot be lowered
-        return gain <= most * max(variance, (1e-6 * self.span) ** 2)
+        return gain <= max_count * max(variance, (1e-6 * self.span) ** 2)
 
     def _units(self) -> Array:
         sizes = units_of(self.chain, self.chain.names, self.values)

@@ -5,7 +5,7 @@ Noise of the acceleration at standstill is not all of it: wrong time stamps make
 with speed and frequency. So recordings are fitted in narrower bands: where the inertia grows and
 less torque is unexplained per hertz, the wider band is wrong.
 
-**Delay.** The torque is linear in a small delay (:mod:`bayesfric.recordings.observation`), so the
+**Delay.** The torque is linear in a small delay (:mod:`bayesfric.recordings.signals`), so the
 delay of the position is one more coefficient; recordings are shifted by it until it settles.
 
 **Fine motion.** Regressors pass the same filter as the measured torque. Those nonlinear in the
@@ -44,9 +44,9 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.checks import resting
 from bayesfric.recordings.filters import lowpass, lowpass_above
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import (
+from bayesfric.recordings.signals import (
     FAR_DELAYS,
-    Observation,
+    Signals,
     filtered_rate,
     longest_delay,
     observe,
@@ -74,7 +74,7 @@ class BandFit(NamedTuple):
 def attenuations(
     joint: Joint,
     recordings: Sequence[Measurement],
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     processing: Processing,
     *,
     misses: int = 2,
@@ -112,7 +112,7 @@ def attenuations(
 
 
 def _fit_band(
-    joint: Joint, recording: Measurement, o: Observation, *, least_freedom: int = 20
+    joint: Joint, recording: Measurement, o: Signals, *, least_freedom: int = 20
 ) -> BandFit | None:
     """Fit the totals in a band; ``None`` where the inertia is not identified.
 
@@ -159,7 +159,7 @@ def _contradicts(narrow: BandFit, wide: BandFit) -> bool:
 def estimate_delay(
     joint: Joint,
     recordings: Sequence[Measurement],
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     knowledge: Knowledge,
     options: Estimation,
 ) -> float:
@@ -168,7 +168,7 @@ def estimate_delay(
     if any(p.row.bends for p in joint.parameters):
         point: dict[str, float] | None = None
 
-        def estimate(observations: Sequence[Observation]) -> Estimate:
+        def estimate(observations: Sequence[Signals]) -> Estimate:
             nonlocal point  # the next round starts where this one ends
             fitted = input_error(joint, observations, knowledge, options, point)
             point = dict(fitted.point)
@@ -179,8 +179,8 @@ def estimate_delay(
 
 
 def settled_delay(
-    pairs: Sequence[tuple[Measurement, Observation]],
-    estimate: Callable[[Sequence[Observation]], Estimate],
+    pairs: Sequence[tuple[Measurement, Signals]],
+    estimate: Callable[[Sequence[Signals]], Estimate],
     joint: Joint,
 ) -> float:
     """Repeat an estimate, recordings shifted by its delay, until it settles; 0 if undetermined."""
@@ -198,7 +198,7 @@ def settled_delay(
 
 
 def _within(
-    delay: float, pairs: Sequence[tuple[Measurement, Observation]], *, longest: float = 0.25
+    delay: float, pairs: Sequence[tuple[Measurement, Signals]], *, longest: float = 0.25
 ) -> float:
     """Limit a delay, s, to the ``longest`` to look for, at most a tenth of the recording."""
     trimmed = min(longest_delay(o, r.period) for r, o in pairs)
@@ -208,7 +208,7 @@ def _within(
     return float(np.clip(delay, lowest, furthest))
 
 
-def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
+def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Signals]]) -> float:
     """Choose the first delay, by linear fits of the totals and the torque's rate.
 
     Zero, or a far one that leaves less than half of the squares: at one frequency a quarter of a
@@ -235,10 +235,10 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
 def with_fine_motion(
     joint: Joint,
     recordings: Sequence[Measurement],
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     knowledge: Knowledge,
     options: Estimation,
-) -> tuple[Array | None, list[Observation]]:
+) -> tuple[Array | None, list[Signals]]:
     """Refine the motion of recordings by a first input-error estimate, in two passes.
 
     An estimate from the encoder's motion may be off by an sd, one from the refined motion is not.
@@ -261,8 +261,8 @@ def with_fine_motion(
 
 
 def fine_motion(
-    joint: Joint, values: Array, recording: Measurement, observation: Observation
-) -> Observation:
+    joint: Joint, values: Array, recording: Measurement, observation: Signals
+) -> Signals:
     """Refine the motion of one recording by parameters ``(n_parameters,)`` of its joint.
 
     At standstill and in excluded spans the encoder's acceleration stays. The recording is unchanged
@@ -308,7 +308,7 @@ def fine_motion(
     return refined if near else observation
 
 
-def _handover(o: Observation, recording: Measurement, residual: Array, inertia: float) -> float:
+def _handover(o: Signals, recording: Measurement, residual: Array, inertia: float) -> float:
     """Frequency in Hz above which the torque determines a speed better than the encoder does.
 
     Of the residual torque ``(N,)``, ``S_t`` a hertz behind the parallel filter, the speed has noise

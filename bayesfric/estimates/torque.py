@@ -23,7 +23,7 @@ from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.quantities import TOTALS, Parameter, State
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 Term = tuple[int, float]  # a parameter's index, and its torque at the motor for a value of one
 
@@ -34,7 +34,7 @@ POSITIVE = tuple(total.name for total in TOTALS.values() if total.lower == 0.0)
 _NUMBERS_AT_ONCE = 2_000_000
 
 
-def filtered_torque(joint: Joint, observation: Observation, values: Array) -> Array:
+def filtered_torque(joint: Joint, observation: Signals, values: Array) -> Array:
     """Model the motor torque ``(n, n_outputs)`` of vectors ``(n, n_parameters)``, filtered."""
     o = observation
     samples = joint.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
@@ -48,7 +48,7 @@ def filtered_torque(joint: Joint, observation: Observation, values: Array) -> Ar
 
 
 def torque_jacobian(
-    joint: Joint, observations: Sequence[Observation], values: Array, steps: Array
+    joint: Joint, observations: Sequence[Signals], values: Array, steps: Array
 ) -> Array:
     """Differentiate the filtered torque by the parameters: ``(n_outputs, n_parameters)``.
 
@@ -72,7 +72,7 @@ def torque_jacobian(
     return np.concatenate(blocks)
 
 
-def load_at_outputs(joint: Joint, o: Observation, values: Array) -> Array:
+def load_at_outputs(joint: Joint, o: Signals, values: Array) -> Array:
     """Compute the load's own torque ``(n_outputs,)`` at the middles of the outputs, eq. (3).
 
     N m or N at the joint.
@@ -82,14 +82,14 @@ def load_at_outputs(joint: Joint, o: Observation, values: Array) -> Array:
 
 
 def typical_load(
-    joint: Joint, observations: Sequence[Observation], values: Array, quantile: float = 0.95
+    joint: Joint, observations: Sequence[Signals], values: Array, quantile: float = 0.95
 ) -> float:
     """Give the joint torque at which efficiencies are stated: nearly the recordings' largest."""
     loads = [load_at_outputs(joint, o, values) for o in observations]
     return float(np.quantile(np.abs(np.concatenate(loads)), quantile))
 
 
-def places(observations: Sequence[Observation], far: int = 2000) -> NDArray[np.int64]:
+def places(observations: Sequence[Signals], far: int = 2000) -> NDArray[np.int64]:
     """Give each output its place ``(n_outputs,)`` on an even grid of time, segments far apart.
 
     Outputs further apart than ``far`` are taken to be independent.
@@ -230,7 +230,7 @@ def _angle(joint: Joint) -> list[int]:
 
 
 def torque_form(
-    joint: Joint, observations: Sequence[Observation] = (), *, any_shape: bool = False
+    joint: Joint, observations: Sequence[Signals] = (), *, any_shape: bool = False
 ) -> TorqueForm | None:
     """Write a joint's torque in the form of eq. (13).
 
@@ -313,7 +313,7 @@ def column_names(joint: Joint) -> list[str]:
     return list(dict.fromkeys([*order, *joint.names]))
 
 
-def columns(joint: Joint, observation: Observation, names: Iterable[str]) -> Array:
+def columns(joint: Joint, observation: Signals, names: Iterable[str]) -> Array:
     """Compute columns of ``psi`` of eq. (13) in motor units, before filtering: ``(n, N)``."""
     o, n = observation, joint.ratio
     inertia, moment = o.inputs.load(joint.load.motion)
@@ -395,7 +395,7 @@ class VariableProjection:
     Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973.
     """
 
-    def __init__(self, form: TorqueForm, observations: Sequence[Observation]) -> None:
+    def __init__(self, form: TorqueForm, observations: Sequence[Signals]) -> None:
         self.form, self._observations = form, observations
         joint = form.chain
         self._psi2 = [columns(joint, o, form.names2) for o in observations]

@@ -29,7 +29,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 Numbers = dict[str, Array]  # (n,) each, one for each parameter vector
 
@@ -102,7 +102,7 @@ class Trajectory:
     inputs: Inputs  # without a recording's name: its separate offset is not the joint's
 
     @classmethod
-    def of(cls, observation: Observation) -> Trajectory:
+    def of(cls, observation: Signals) -> Trajectory:
         """Take the motion of a recording."""
         o, at = observation, observation.filter.centres
         inputs = replace(o.inputs, recording="")

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.base.errors import BadInput
-from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
-from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.explanation import CalibrationCheck, Explanation, calibration_check
 from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.estimates.point_estimate import Estimate

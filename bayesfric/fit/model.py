@@ -513,7 +513,7 @@ class Model:
                         ["output-error"], evidence, estimates, progress=by_method(progress)
                     )
             except BadInput as error:
-                missing.append(f"no output-error estimate: {error.what}")
+                missing.append(f"no output-error estimate: {error.problem}")
         points = [dict(e.point) for e in estimates.values() if e.point]
         choice = self.noise_choice(points[0])
         for point in points[:-1]:
@@ -555,8 +555,10 @@ class Model:
         values = np.asarray(theta, dtype=np.float64)
         rows = np.atleast_2d(values)
         if rows.ndim != 2 or rows.shape[1] != len(target.names):
-            what = f"has the shape {values.shape}"
-            raise BadInput("theta", what, f"give {len(target.names)} numbers, as Model.names says")
+            problem = f"has the shape {values.shape}"
+            raise BadInput(
+                "theta", problem, f"give {len(target.names)} numbers, as Model.names says"
+            )
         density = target.log_prior(rows)
         density[np.isnan(density)] = -np.inf
         if (possible := density > -np.inf).any():
@@ -718,11 +720,11 @@ class Result:
         """All recordings, also held-out ones."""
         return [*self.model.recordings, *(part.recording for part in self.model.held_out)]
 
-    def picked(self, most: int) -> Array:
+    def picked(self, max_count: int) -> Array:
         """Return at most so many draws ``(n, len(names))``, evenly spaced."""
-        if most >= len(self.draws):
+        if max_count >= len(self.draws):
             return self.draws
-        return np.asarray(self.draws[np.linspace(0, len(self.draws) - 1, most).astype(int)])
+        return np.asarray(self.draws[np.linspace(0, len(self.draws) - 1, max_count).astype(int)])
 
     def values(self, draws: Array) -> Array:
         """Insert fixed parameters: ``(n, d)`` to ``(n, n_parameters)``."""

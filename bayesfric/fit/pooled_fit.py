@@ -154,8 +154,10 @@ def _check(model: Model, vary: Sequence[str], *, largest: int = 12) -> None:
     """Refuse what cannot be pooled, such as more recordings than the ``largest`` posterior."""
     names = model.chain.names
     if not vary:
-        what = "names no parameter that varies"
-        raise BadInput("pooling.vary", what, 'write for example { "motor.viscous" = "recording" }')
+        problem = "names no parameter that varies"
+        raise BadInput(
+            "pooling.vary", problem, 'write for example { "motor.viscous" = "recording" }'
+        )
     for name in vary:
         if name not in names:
             raise BadInput(
@@ -170,8 +172,8 @@ def _check(model: Model, vary: Sequence[str], *, largest: int = 12) -> None:
             "fit each recording alone, and 'bayesfric compare' the runs",
         )
     if model.config.tables.likelihood.method != "input-error":
-        what = "recordings are pooled by their torque"
-        raise BadInput("likelihood.method", what, 'take "input-error"')
+        problem = "recordings are pooled by their torque"
+        raise BadInput("likelihood.method", problem, 'take "input-error"')
     count = len(model.observations)
     if count < 2:
         raise BadInput("recordings", "one recording is not a population", "add another")

@@ -17,7 +17,7 @@ from bayesfric.estimates.point_estimate import HALF
 from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
 from bayesfric.fleet.results import OUTLIER, FleetQuantity, ranked_units
 from bayesfric.report.figures import style
-from bayesfric.report.page.rendering import page_figure, render
+from bayesfric.report.page.pages import page_figure, render
 from bayesfric.report.summary.record import Summary
 
 

@@ -34,7 +34,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.measurement import AT_ROOM
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.results.reported import LEVEL
 
 # Distance from outputs, over the recorded range of speed and load, that is covered.
@@ -190,7 +190,7 @@ def _reach(recorded: Array) -> Array:
 
 
 def covered(
-    chain: Joint, observations: Sequence[Observation], median: Array, open_scale: bool
+    chain: Joint, observations: Sequence[Signals], median: Array, open_scale: bool
 ) -> Array:
     """Give the motor's speed at all outputs and, at the chain parameters ``median``, their loads.
 
@@ -223,7 +223,7 @@ class Coverage:
 
 
 def coverage_of(
-    chain: Joint, observations: Sequence[Observation], values: Array
+    chain: Joint, observations: Sequence[Signals], values: Array
 ) -> tuple[Coverage, ...]:
     """Compute what every recording covers at ``values`` ``(n_parameters,)``."""
     return tuple(
@@ -241,16 +241,14 @@ def coverage_of(
     )
 
 
-def back_driving(
-    chain: Joint, observations: Sequence[Observation], values: Array
-) -> dict[str, float]:
+def back_driving(chain: Joint, observations: Sequence[Signals], values: Array) -> dict[str, float]:
     """Share of moving outputs in which the load drives each lossy element, at one vector."""
     shares = back_driving_shares(chain, observations, values[None])
     return {name: float(share[0]) for name, share in shares.items()}
 
 
 def back_driving_shares(
-    chain: Joint, observations: Sequence[Observation], values: Array
+    chain: Joint, observations: Sequence[Signals], values: Array
 ) -> dict[str, Array]:
     """Share of moving outputs in which the load drives each element with load-dependent friction.
 
@@ -270,9 +268,7 @@ def back_driving_shares(
     return shares
 
 
-def _behind(
-    chain: Joint, i: int, o: Observation, outputs: NDArray[np.int64], values: Array
-) -> Array:
+def _behind(chain: Joint, i: int, o: Signals, outputs: NDArray[np.int64], values: Array) -> Array:
     """Torque at the output of element ``i``, ``(n, len(outputs))``."""
     at = o.filter.centres[outputs]
     q, qd, qdd, time = o.q[at], o.qd[at], o.acceleration[outputs], o.stamps[at]
@@ -284,7 +280,7 @@ def _behind(
     return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=time)
 
 
-def _steady(chain: Joint, o: Observation, values: Array) -> float:
+def _steady(chain: Joint, o: Signals, values: Array) -> float:
     """Share of outputs in which inertia takes less than a twentieth of the torque."""
     steady = replace(o, qdd=np.zeros_like(o.qdd))
     torque = filtered_torque(chain, o, values[None])[0]

@@ -23,7 +23,7 @@ from bayesfric.inference.target import LocalUnits, Target, units_of
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.results.reported import Determined
 
 # Central differences of a linear torque err by rounding alone, 1e-16 of the torque over twice this
@@ -160,7 +160,7 @@ def in_natural_units(
 
 
 def torque_changes(
-    chain: Joint, observations: Sequence[Observation], values: Array, at: LocalUnits
+    chain: Joint, observations: Sequence[Signals], values: Array, at: LocalUnits
 ) -> Array:
     """Differentiate the filtered torque by the free parameters: ``(n_outputs, d)``."""
     columns = [chain.names.index(name) for name in at.names]

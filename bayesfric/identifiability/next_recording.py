@@ -49,7 +49,7 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.checks import moving_samples
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import AT_ROOM, Inputs, steady
-from bayesfric.recordings.observation import Observation, as_position, retimed
+from bayesfric.recordings.signals import Signals, as_position, retimed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +69,7 @@ LINES: Array = np.array([0.37, 0.73, 1.3, 2.9, 5.3])
 _LINES = {"slow multisine": np.array([0.13, 0.29, 0.53, 0.97, 1.9]), "multisine": LINES}
 
 # Whitens changes of the torque (..., M) of a recording to unit noise.
-Whitening = Callable[[Array, Observation], Array]
+Whitening = Callable[[Array, Signals], Array]
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Candidate:
     q0: float  # position and speed at the first sample, rad or m and s
     qd0: float
     # the recording where it needs no simulation: the longest again, or its motion with another mass
-    made: Observation | None = None
+    made: Signals | None = None
     lowered: float = 1.0  # factor on the torque that keeps the limits
     because_of: str | None = None  # the limit that required it
     after: Uncertainty = Uncertainty()  # with this recording
@@ -131,7 +131,7 @@ class Candidate:
 
 
 def limits_of(
-    options: AdviceOptions, chain: Joint, observations: Sequence[Observation], values: Array
+    options: AdviceOptions, chain: Joint, observations: Sequence[Signals], values: Array
 ) -> Limits:
     """Complete the configured limits from the recordings."""
     rotary = chain.load.motion == "rotary"
@@ -182,12 +182,12 @@ def limits_of(
     )
 
 
-def longest(observations: Sequence[Observation]) -> Observation:
+def longest(observations: Sequence[Signals]) -> Signals:
     """Find the recording with most outputs, whose rate, filter and noise candidates have."""
     return max(observations, key=lambda o: o.filter.n_outputs)
 
 
-def fastest(recording: Observation) -> float:
+def fastest(recording: Signals) -> float:
     """Find the highest speed in the used samples of a recording, rad/s or m/s."""
     filter_ = recording.filter
     used = np.zeros(recording.qd.size, dtype=np.bool_)
@@ -197,7 +197,7 @@ def fastest(recording: Observation) -> float:
 
 
 def candidates(
-    chain: Joint, values: Array, observations: Sequence[Observation], limits: Limits
+    chain: Joint, values: Array, observations: Sequence[Signals], limits: Limits
 ) -> Iterator[Candidate]:
     """List the candidates; for a joint that was held, its recorded motion alone.
 
@@ -263,8 +263,8 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
 
 
 def try_out(
-    chain: Joint, values: Array, base: Observation, candidate: Candidate, limits: Limits
-) -> tuple[Candidate, Observation] | str:
+    chain: Joint, values: Array, base: Signals, candidate: Candidate, limits: Limits
+) -> tuple[Candidate, Signals] | str:
     """Simulate a candidate with its torque lowered until it keeps the limits, or say why not."""
     if candidate.made is not None:  # repeated as it was
         if candidate.amplitude > limits.torque:
@@ -290,7 +290,7 @@ def try_out(
     return f"{violated}, even with {100.0 * lowered:.0f} % of the torque"
 
 
-def _violated(recording: Observation, speed: float, limits: Limits) -> str | None:
+def _violated(recording: Signals, speed: float, limits: Limits) -> str | None:
     if speed > limits.speed:
         return "the speed limit"
     low, high = limits.angles or (-np.inf, np.inf)
@@ -426,7 +426,7 @@ def ranking(
     base, priors = longest(observations), prior_rows(target, local)
     noise = torque_noise(target, point, next(i for i, o in enumerate(observations) if o is base))
 
-    def uncertainty_with(*added: Observation) -> Uncertainty:
+    def uncertainty_with(*added: Signals) -> Uncertainty:
         rows = [scaled_jacobian(target, o, values, local, noise) for o in added]
         jacobian, scalings = np.concatenate([local.directions.identified, *rows]), None
         if added:
@@ -505,7 +505,7 @@ def _simulable(target: Target, parameters: Array, local: LocalInformation) -> Ar
 # Recordings simulated at the estimate with another mass or torque
 
 
-def sample_period(observation: Observation) -> float:
+def sample_period(observation: Signals) -> float:
     """Time from one raw sample to the next, s."""
     step = np.diff(observation.filter.starts)
     return observation.period / max(int(step.min(initial=step[:1].sum())), 1)
@@ -561,14 +561,14 @@ def torque_noise(target: Target, parameters: Array, number: int) -> Whitening:
 
 
 def scaled_jacobian(
-    target: Target, observation: Observation, values: Array, at: LocalUnits, whiten: Whitening
+    target: Target, observation: Signals, values: Array, at: LocalUnits, whiten: Whitening
 ) -> Array:
     """Differentiate a recording's filtered torque over its noise, ``(n_outputs, d)``."""
     jacobian = torque_changes(target.likelihood.chain, [observation], values, at) * at.units
     return whiten(jacobian.T, observation).T
 
 
-def longest_stretch(observation: Observation, duration: float | None = 10.0) -> slice:
+def longest_stretch(observation: Signals, duration: float | None = 10.0) -> slice:
     """Give the longest segment that outputs come from, at most ``duration`` s of it."""
     segment_of = observation.segment_of
     segments, counts = np.unique(segment_of, return_counts=True)
@@ -584,11 +584,11 @@ def longest_stretch(observation: Observation, duration: float | None = 10.0) -> 
 def simulate_recording(
     chain: Joint,
     values: Array,
-    observation: Observation,
+    observation: Signals,
     torque: Array,
     inputs: Inputs,
     initial: tuple[float, float] | None = None,
-) -> Observation:
+) -> Signals:
     """Simulate a torque ``(N,)`` and prepare it like a recording; ValueError at standstill."""
     if initial is None:
         first = longest_stretch(observation).start

@@ -43,7 +43,7 @@ from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 Index = NDArray[np.intp]
 
@@ -60,7 +60,7 @@ _REWEIGHTINGS = 40
 class Missing:
     """Candidates of what the model lacks, as regression columns."""
 
-    observations: tuple[Observation, ...]  # the recordings or subsamples
+    observations: tuple[Signals, ...]  # the recordings or subsamples
     # (M, m) filtered columns, N m or N, scaled to the torque's rms, or for friction to the model's
     # losses: an effect of size one is as large as that
     columns: Array
@@ -164,7 +164,7 @@ class LinearisedFit:
     """The fit as a linear regression with unit noise, along the posterior's principal axes."""
 
     def __init__(
-        self, target: Target, posterior: Posterior, observations: Sequence[Observation]
+        self, target: Target, posterior: Posterior, observations: Sequence[Signals]
     ) -> None:
         """Linearise by central differences at the posterior's mean.
 

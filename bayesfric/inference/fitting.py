@@ -27,7 +27,7 @@ from bayesfric.inference.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Likelihood, Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Fit:
         return self.target.likelihood.chain
 
     @property
-    def observations(self) -> tuple[Observation, ...]:
+    def observations(self) -> tuple[Signals, ...]:
         """The preprocessed recordings."""
         return self.target.likelihood.observations
 
@@ -110,7 +110,7 @@ class Fit:
 def read_priors(
     chain: Joint,
     texts: Mapping[str, PriorText],
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     noise: Sequence[str] = ("sigma",),
 ) -> dict[str, Prior]:
     """Complete the configured priors of parameters and noise scales with defaults."""
@@ -144,7 +144,7 @@ def read_priors(
 
 def make_target(
     chain: Joint,
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     priors: Mapping[str, Prior],
     noise_scale: NoiseScale,
     noise: Autoregressive | None = None,
@@ -383,7 +383,7 @@ def linearisation_change(
 
 
 def _plausible_parameters(
-    target: Target, start: Start, rng: np.random.Generator, most: int
+    target: Target, start: Start, rng: np.random.Generator, max_count: int
 ) -> Array:
     """Draw parameter vectors ``(n, d)`` as probable as the posterior's.
 
@@ -397,7 +397,7 @@ def _plausible_parameters(
         u = start.mode + spread * rng.standard_normal((100, d)) @ root.T
         density = target(u)
         probable = u[density > max(density.max(), target(start.mode[None])[0]) - fall]
-        if len(probable) >= most or spread < 1e-3:
-            places = probable[:most] if len(probable) > 1 else u[:most]
+        if len(probable) >= max_count or spread < 1e-3:
+            places = probable[:max_count] if len(probable) > 1 else u[:max_count]
             return np.asarray(target.to_parameters(places)[0])
         spread /= 2.0

@@ -23,7 +23,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 LikelihoodMethod = Literal["input-error", "output-error"]
 
@@ -90,7 +90,7 @@ class TorqueLikelihood:
     method: LikelihoodMethod = "input-error"
 
     def __init__(
-        self, chain: Joint, observations: Sequence[Observation], noise: Autoregressive | None = None
+        self, chain: Joint, observations: Sequence[Signals], noise: Autoregressive | None = None
     ) -> None:
         self.chain, self.observations = chain, tuple(observations)
         rotary = chain.motor_motion == "rotary"

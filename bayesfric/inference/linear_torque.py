@@ -29,13 +29,13 @@ from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint, slots_of
 from bayesfric.mechanism.quantities import Parameter, State
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 T = TypeVar("T")
 # (m, samples) functions along a recording, and (n, m) what multiplies them for parameter vectors
-Functions = Callable[[Observation], Array]
+Functions = Callable[[Signals], Array]
 Weights = Callable[[Array], Array]
-ShapedColumn = Callable[[Observation, float], Array]  # (samples,) for a value of the shape
+ShapedColumn = Callable[[Signals, float], Array]  # (samples,) for a value of the shape
 
 # Gravity on a known mass at angle zero and a quarter turn on, and factors by an unknown angle: at
 # angle zero the first is in the known load's own column.
@@ -158,7 +158,7 @@ class LinearTorque:
     """Columns and coefficients of a mechanism's torque, near draws ``(n, n_parameters)``."""
 
     def __init__(
-        self, chain: Joint, form: TorqueForm, observations: Sequence[Observation], draws: Array
+        self, chain: Joint, form: TorqueForm, observations: Sequence[Signals], draws: Array
     ) -> None:
         self.chain, self._draws, self._loss = chain, draws, form.loss
         self._thinned = [
@@ -241,7 +241,7 @@ class LinearTorque:
         exponent = 2.0 if power < 0 else float(self._draws[0, power])
         reach = self.chain.reaches[element]
 
-        def column(o: Observation, velocity: float) -> Array:
+        def column(o: Signals, velocity: float) -> Array:
             return np.asarray(np.exp(-(np.abs(reach * o.qd / velocity) ** exponent)))
 
         for i, p in enumerate(self.chain.parameters):
@@ -349,7 +349,7 @@ class LinearTorque:
             )
         return np.concatenate(parts, axis=1)
 
-    def columns(self, o: Observation, begin: int, end: int) -> tuple[Array, Array]:
+    def columns(self, o: Signals, begin: int, end: int) -> tuple[Array, Array]:
         """Compute ``psi1`` ``(n1, n)`` and ``psi2`` ``(n2, n)`` of samples, before the filter."""
         piece = _piece(o, slice(begin, end))
         base = np.ones((len(self._names), end - begin))
@@ -372,7 +372,7 @@ class LinearTorque:
         )
         return psi1, psi1[self._leg_columns]
 
-    def functions(self, o: Observation, begin: int, end: int) -> Array:
+    def functions(self, o: Signals, begin: int, end: int) -> Array:
         """Compute functions of speed ``(m, n)`` of the load-dependent friction, constant first."""
         piece = _piece(o, slice(begin, end))
         return np.concatenate([functions(piece) for functions, _, _ in self._losses])
@@ -404,7 +404,7 @@ class LinearTorque:
 
 
 def linear_torque(
-    chain: Joint, observations: Sequence[Observation], draws: Array | None = None
+    chain: Joint, observations: Sequence[Signals], draws: Array | None = None
 ) -> LinearTorque | None:
     """Write the torque as linear for known directions of power, if possible."""
     values = np.empty((0, len(chain.names))) if draws is None else draws
@@ -415,7 +415,7 @@ def linear_torque(
     return LinearTorque(chain, form, observations, values)
 
 
-def _ones(o: Observation) -> Array:
+def _ones(o: Signals) -> Array:
     return np.ones((1, o.qd.size))
 
 
@@ -426,7 +426,7 @@ def _zero(values: Array) -> Array:
 def _shaped_column(chain: Joint, p: Parameter) -> ShapedColumn:
     reach = chain.reaches[p.owner]
 
-    def column(o: Observation, shape: float) -> Array:
+    def column(o: Signals, shape: float) -> Array:
         assert p.row.column is not None
         state = State(reach * o.q, reach * o.qd, 0.0, np.sign(o.qd), o.stamps, 0.0, 0.0)
         return np.asarray(p.row.column(state, shape) * (reach / chain.ratio))
@@ -434,5 +434,5 @@ def _shaped_column(chain: Joint, p: Parameter) -> ShapedColumn:
     return column
 
 
-def _piece(o: Observation, part: slice) -> Observation:
+def _piece(o: Signals, part: slice) -> Signals:
     return replace(o, q=o.q[part], qd=o.qd[part], qdd=o.qdd[part], stamps=o.stamps[part])

@@ -38,7 +38,7 @@ from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.filters import ParallelFilter
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 Short = NDArray[np.int16]
 
@@ -74,7 +74,7 @@ class Moments:
         return total
 
 
-def runs_of(observation: Observation, order: int) -> tuple[Short, Short, Short]:
+def runs_of(observation: Signals, order: int) -> tuple[Short, Short, Short]:
     """Return the outputs before and after each ``(M,)`` in its run, and the length of its head.
 
     None is larger than the order.
@@ -122,7 +122,7 @@ def unpacked(flat: Array, order: int) -> Moments:
 class PlainMoments:
     """Moments computed sample by sample, for every chain."""
 
-    def __init__(self, chain: Joint, observations: Sequence[Observation], order: int = 0) -> None:
+    def __init__(self, chain: Joint, observations: Sequence[Signals], order: int = 0) -> None:
         self.chain, self.order = chain, order
         runs = [runs_of(o, order) for o in observations]
         # outputs with a full past, and heads (R, p) by length
@@ -271,7 +271,7 @@ class MomentMatrices(NamedTuple):
 
 
 def moment_matrices(
-    linear: LinearTorque, o: Observation, order: int, region: SignRegion, radius: float
+    linear: LinearTorque, o: Signals, order: int, region: SignRegion, radius: float
 ) -> MomentMatrices:
     """Reduce a recording, in two passes over blocks."""
     starts, length = o.filter.starts, o.filter.taps.size
@@ -336,7 +336,7 @@ def moment_matrices(
 
 
 def _chunks(
-    linear: LinearTorque, o: Observation, region: SignRegion
+    linear: LinearTorque, o: Signals, region: SignRegion
 ) -> Iterator[tuple[slice, slice, Array, Array, Array]]:
     """Yield blocks of outputs, with the raw samples that they depend on.
 
@@ -409,7 +409,7 @@ class FastMoments:
         linear: LinearTorque,
         region: SignRegion,
         plain: PlainMoments,
-        observations: Sequence[Observation],
+        observations: Sequence[Signals],
         radius: float = RADIUS,
     ) -> None:
         self.order, self.radius = plain.order, radius
@@ -446,7 +446,7 @@ class FastMoments:
 
 def fast_moments(
     chain: Joint,
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     draws: Array,
     order: int = 0,
     radius: float = RADIUS,

@@ -30,7 +30,7 @@ from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import TypicalSizes
 from bayesfric.recordings.arrays import Array, Flags, Index
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 NoiseScale = Literal["shared", "per-recording"]
 _LOG_2PI = math.log(2.0 * math.pi)
@@ -311,7 +311,7 @@ class NoiseChoice:
 
 def choose_noise(
     chain: Joint,
-    observations: Sequence[Observation],
+    observations: Sequence[Signals],
     priors: Mapping[str, Prior],
     point: Mapping[str, float],
     *,

@@ -30,7 +30,7 @@ from bayesfric.inference.noise import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.trajectory import Trajectory
 
 # Relative steps of the derivatives by state and torque.
@@ -65,7 +65,7 @@ class PositionLikelihood:
         self,
         chain: Joint,
         trajectories: Sequence[Trajectory],
-        observations: Sequence[Observation],
+        observations: Sequence[Signals],
         point: Array,
     ) -> None:
         self.chain, self.observations = chain, tuple(observations)

@@ -27,7 +27,7 @@ from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.held_out import Part
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 
 # A run is trusted when all ensembles together are this many autocorrelation times long, which
@@ -87,14 +87,14 @@ class Posterior:
     diagnostics: Diagnostics  # before thinning
     seed: int  # later steps derive their streams from it
 
-    def flat(self, most: int | None = None) -> Array:
+    def flat(self, max_count: int | None = None) -> Array:
         """Return at most ``most`` draws ``(n, d)``, without walkers that never moved."""
         moved = self.diagnostics.acceptance > 0.0
         draws = self.draws if moved.all() or not moved.any() else self.draws[moved]
         flat = draws.reshape(-1, self.draws.shape[-1])
-        if most is None or most >= len(flat):
+        if max_count is None or max_count >= len(flat):
             return flat
-        return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])
+        return np.asarray(flat[np.linspace(0, len(flat) - 1, max_count).astype(int)])
 
     def prior_draws(self, number: int, key: int) -> Array:
         """Draw from the priors, ``(number, d)``, with a random stream ``key``."""

@@ -83,7 +83,9 @@ class Proposal:
         """
         # most components, draws needed for each entry of a component's covariance, most draws, and
         # gain of log-likelihood per draw below which it ends
-        most, per_entry, most_draws, gain = (6, 5, 12_000, 1e-4) if last else (3, 10, 8000, 1e-2)
+        max_count, per_entry, most_draws, gain = (
+            (6, 5, 12_000, 1e-4) if last else (3, 10, 8000, 1e-2)
+        )
         n, d = draws.shape
         mean, covariance = draws.mean(axis=0), np.atleast_2d(np.cov(draws.T))
         # keeps the covariance of collinear coordinates positive definite
@@ -93,7 +95,7 @@ class Proposal:
         z = (draws[:: n // most_draws + 1] - mean) @ np.linalg.inv(root).T
         # repeated positions do not count
         distinct = np.unique(z[:, 0]).size
-        components = min(most, distinct // (per_entry * d * d))
+        components = min(max_count, distinct // (per_entry * d * d))
         if components < 2:
             return cls(np.ones(1), mean[None], root[None], mean, root)
         weights, means, roots = _mixture(z, components, gain)

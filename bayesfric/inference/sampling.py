@@ -156,7 +156,7 @@ def _warm_up(
 
 
 def _run_until_converged(
-    sampler: _Ensembles, most: int, block: int, settings: Sampling, progress: ProgressCallback
+    sampler: _Ensembles, max_count: int, block: int, settings: Sampling, progress: ProgressCallback
 ) -> tuple[bool, float]:
     """Run until every criterion is met, ``most`` steps are used up or it is hopeless.
 
@@ -168,7 +168,7 @@ def _run_until_converged(
         steps = max(block, sampler.steps // 3)
         if needed < sampler.steps + steps:
             steps = max(block // 2, math.ceil(needed) - sampler.steps)
-        sampler.run(min(steps, most - sampler.steps))
+        sampler.run(min(steps, max_count - sampler.steps))
         rhat, tau, ess = sampler.convergence()
         progress(Progress("sampling", sampler.steps, float(ess.min()), float(rhat.max())))
         length = settings.ensembles * sampler.steps / tau.max()
@@ -182,7 +182,7 @@ def _run_until_converged(
         is_late = sampler.steps >= max(500, settings.max_steps // 10)
         if is_late and needed > 2 * settings.max_steps:
             return True, needed
-        if sampler.steps >= most:
+        if sampler.steps >= max_count:
             return False, 0.0
 
 

@@ -20,7 +20,7 @@ from tomlkit.items import InlineTable, Table
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import Options, configuration_error
 from bayesfric.base.safe_read import read_json, read_text
-from bayesfric.diagnostics.calibration_check import CalibrationCheckOptions
+from bayesfric.diagnostics.explanation import CalibrationCheckOptions
 from bayesfric.estimates.point_estimate import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood import LikelihoodMethod
@@ -183,7 +183,7 @@ class Config:
             yield
         except BadInput as error:
             where = ": ".join(part for part in (str(self.path), place, error.where) if part)
-            raise BadInput(where, error.what, error.hint) from None
+            raise BadInput(where, error.problem, error.hint) from None
 
 
 def read_config(path: Path) -> Config:
@@ -224,9 +224,9 @@ def read_document(text: str, path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except ValueError as error:
-        what = f"is not TOML ({str(error).partition(';')[0]})"
+        problem = f"is not TOML ({str(error).partition(';')[0]})"
         hint = 'write key = value, each key once, with text in "quotes"'
-        raise BadInput(str(path), what, hint) from None
+        raise BadInput(str(path), problem, hint) from None
 
 
 def checked_toml(text: str, path: Path, model: type[OptionsModel], kind: str) -> OptionsModel:

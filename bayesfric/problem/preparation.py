@@ -30,14 +30,14 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
 from bayesfric.recordings.held_out import Part, divide, fitted
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, longest_delay, timed
 from bayesfric.recordings.read import read_recordings
+from bayesfric.recordings.signals import Signals, longest_delay, timed
 from bayesfric.recordings.source import Recording
 
 
 def prepare(
     config: Config, recordings: Sequence[Recording] | None = None, terms: Sequence[Term] = ()
-) -> tuple[Joint, dict[str, Prior], list[Part], list[Observation]]:
+) -> tuple[Joint, dict[str, Prior], list[Part], list[Signals]]:
     """Read and preprocess every recording of a configuration, or those given.
 
     ``terms`` are the functions of custom terms that its table ``mechanism`` names. Returns joint,
@@ -143,7 +143,7 @@ def _note_attenuation(
         if narrow.inertia > larger * wide.inertia
     }
 
-    def noted(o: Observation) -> Observation:
+    def noted(o: Signals) -> Signals:
         return replace(o, settings={**o.settings, **notes.get(o.name, {})})
 
     return [p if p.held_out else replace(p, observation=noted(p.observation)) for p in parts]
@@ -192,7 +192,7 @@ def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measure
         )
 
 
-def _check_signals(chain: Joint, observations: Sequence[Observation]) -> None:
+def _check_signals(chain: Joint, observations: Sequence[Signals]) -> None:
     """Refuse terms that depend on a missing signal."""
     rows = {c.row for c in chain.carried if c.row.column and c.row.signal}
     for row in rows:
@@ -208,7 +208,7 @@ def _check_signals(chain: Joint, observations: Sequence[Observation]) -> None:
                 )
 
 
-def _check_size(chain: Joint, observations: Sequence[Observation]) -> None:
+def _check_size(chain: Joint, observations: Sequence[Signals]) -> None:
     """Refuse fewer outputs than parameters."""
     outputs = sum(len(o.time) for o in observations)
     if outputs < len(chain.parameters):
@@ -271,7 +271,7 @@ def _read(config: Config, chain: Joint, recording: Recording, number: int) -> li
 
 
 def references(
-    config: Config, chain: Joint, observations: Sequence[Observation]
+    config: Config, chain: Joint, observations: Sequence[Signals]
 ) -> dict[str, dict[str, Any]]:
     """Return values to compare with, by name; refuse names that no result has."""
     units = {p.name: p.unit for p in chain.parameters}

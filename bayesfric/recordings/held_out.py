@@ -12,7 +12,7 @@ from pydantic import Field
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.options import Options
 from bayesfric.recordings.measurement import LEAST_SAMPLES, Measurement
-from bayesfric.recordings.observation import Observation, observe, settled, window
+from bayesfric.recordings.signals import Signals, observe, settled, window
 from bayesfric.recordings.source import Processing
 
 
@@ -40,7 +40,7 @@ class Part:
     """A recording, or the beginning or end of one, that is fitted or predicted."""
 
     recording: Measurement  # as read; the name is that of the whole recording
-    observation: Observation  # as prepared
+    observation: Signals  # as prepared
     held_out: str = ""  # "whole recording", or "last 20 %"; empty for a fitted part
 
     @property
@@ -49,7 +49,7 @@ class Part:
         return self.recording.name
 
 
-def fitted(parts: Sequence[Part]) -> tuple[list[Measurement], list[Observation]]:
+def fitted(parts: Sequence[Part]) -> tuple[list[Measurement], list[Signals]]:
     """Return the recordings that are fitted, and their observations."""
     remaining = [part for part in parts if not part.held_out]
     return [part.recording for part in remaining], [part.observation for part in remaining]
@@ -106,11 +106,11 @@ def _without_end(
     if begin >= n:
         raise BadInput(where, f"{whose} is not even one sample", "hold out more")
 
-    def observed(recording: Measurement, processing: Processing, whose: str) -> Observation:
+    def observed(recording: Measurement, processing: Processing, whose: str) -> Signals:
         try:
             return observe(recording, processing)
         except BadInput as error:
-            problem = f"{whose}: {error.what}"
+            problem = f"{whose}: {error.problem}"
             raise BadInput(where, problem, "hold out another share") from None
 
     rest, end = _piece(recording, 0, last), _piece(recording, begin, n)

@@ -206,7 +206,7 @@ class Table:
         stamps: Array,
         flag: str | int | None,
         *,
-        most: float = 0.1,
+        max_count: float = 0.1,
         gap: float = 5.0,
     ) -> tuple[Table, Index]:
         """Bring columns to the rows in which all have a value; returns these rows, too.
@@ -232,7 +232,7 @@ class Table:
             if time is stamps and not present.all():
                 lacking.append(repr(key))
             steps = np.diff(time[present])
-            by_row = time is stamps and present[base].mean() >= 1.0 - most
+            by_row = time is stamps and present[base].mean() >= 1.0 - max_count
             if by_row or not steps.size or not np.all(steps > 0.0):
                 used &= present
                 continue

@@ -11,7 +11,7 @@ import numpy as np
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Index, without_excluded
 from bayesfric.recordings.measurement import Hold, Inputs, Measurement
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 # Fewer samples of a segment determine not much more than its two initial states.
 _LEAST_SAMPLES = 20
@@ -43,7 +43,7 @@ class Trajectory:
         return np.repeat(np.arange(len(self.segments)), np.diff(self.segments, axis=1)[:, 0])
 
 
-def trajectory(recording: Measurement, observation: Observation, length: float) -> Trajectory:
+def trajectory(recording: Measurement, observation: Signals, length: float) -> Trajectory:
     """Cut a recording into segments of about ``length`` (s; may be infinite) where it is fast."""
     computed = recording.back_emf is not None or recording.feedback is not None
     if computed and observation.inputs.torque_rate is not None:
@@ -65,7 +65,7 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
     )
 
 
-def divided(long: Trajectory, observation: Observation, length: float) -> Trajectory:
+def divided(long: Trajectory, observation: Signals, length: float) -> Trajectory:
     """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`."""
     ranges = [(int(a), int(b)) for a, b in long.segments]
     return replace(long, **_cut(ranges, long.name, long.period, length, observation))
@@ -76,7 +76,7 @@ def _cut(
     name: str,
     period: float,
     length: float,
-    observation: Observation,
+    observation: Signals,
 ) -> dict[str, Any]:
     """Divide ranges about evenly, ``(K, 2)``, with initial states; too short segments go.
 

@@ -127,8 +127,8 @@ def _pointwise(
     e, w, s, d = fit.posterior.draws.shape
     each = fit.posterior.draws.reshape(e, w * s, d)
     outputs = sum(o.measured.size for o in fit.target.likelihood.outputs)
-    most = max(min(draws[1], size // outputs), draws[0]) // e
-    n = min(w * s, max(most, 1))
+    max_count = max(min(draws[1], size // outputs), draws[0]) // e
+    n = min(w * s, max(max_count, 1))
     picked = each[:, np.linspace(0, w * s - 1, n).astype(int)]
     flat = picked.reshape(-1, d)
     likelihood = fit.target.likelihood

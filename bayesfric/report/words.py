@@ -43,11 +43,11 @@ def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
         return f"added: {line_of(added, values | {'kind': added})}"
     known = words_of(_kind(kind, values))
     instead = (text for key, text in known.items() if key[:3] == "do_" and values.get(key[3:]))
-    do = next(instead, known.get("do", ""))
-    what, do = (_FILL.vformat(text, (), values) for text in (known["what"], do))
+    remedy = next(instead, known.get("do", ""))
+    statement, remedy = (_FILL.vformat(text, (), values) for text in (known["what"], remedy))
     if "hint" in values:
-        what, do = _finding(what, do, values)
-    return f"{what}: {do}" if do else what
+        statement, remedy = _finding(statement, remedy, values)
+    return f"{statement}: {remedy}" if remedy else statement
 
 
 def doubt_text(doubt: Mapping[str, Any]) -> str:
@@ -58,10 +58,10 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
 def clause(kind: str, values: Mapping[str, Any] | None = None) -> str:
     """Say what it is, without what to do, as behind "because"."""
     values = {"kind": kind, **(values or {})}
-    what = _FILL.vformat(words_of(_kind(kind, values))["what"], (), values)
+    statement = _FILL.vformat(words_of(_kind(kind, values))["what"], (), values)
     if kind == "missing":
-        what += f" ({percent(values['share'])} % rms)"
-    return what
+        statement += f" ({percent(values['share'])} % rms)"
+    return statement
 
 
 def listed(parts: Sequence[str]) -> str:
@@ -75,17 +75,20 @@ def _kind(kind: str, values: Mapping[str, Any]) -> str:
     return str(values.get("what", kind)) if kind == "missing" else kind
 
 
-def _finding(what: str, do: str, values: Mapping[str, Any]) -> tuple[str, str]:
+def _finding(statement: str, remedy: str, values: Mapping[str, Any]) -> tuple[str, str]:
     share = f"({percent(values['share'])} % rms)"
     if values.get("span"):
         low, high = values["span"]
-        return f"{what} {share}", f"exclude = [[{low:.1f}, {high:.1f}]] of {values['recording']}"
+        return (
+            f"{statement} {share}",
+            f"exclude = [[{low:.1f}, {high:.1f}]] of {values['recording']}",
+        )
     if not values.get("physical", True):
-        return f"{what} of the wrong sign {share}", "something that is on no list"
+        return f"{statement} of the wrong sign {share}", "something that is on no list"
     if values["hint"]:
         table, line = placed(values["hint"])
-        do = f"{line} in [{table}]"
-    return f"{what} {share}", do
+        remedy = f"{line} in [{table}]"
+    return f"{statement} {share}", remedy
 
 
 class _Fill(Formatter):

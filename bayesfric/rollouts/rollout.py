@@ -30,7 +30,7 @@ from bayesfric.problem.config import (
 from bayesfric.recordings.arrays import Array, Flags, without_excluded
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law, Measurement
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.source import Recording
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
@@ -47,7 +47,7 @@ class PreparedRecording:
     """A recording to be simulated, as read and as prepared."""
 
     measurement: Measurement
-    observation: Observation
+    observation: Signals
     part: Part
 
     def segments(self, *, shortest: int = 20) -> NDArray[np.int64]:

@@ -32,7 +32,7 @@ from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def priors() -> dict[str, Prior]:
     }
 
 
-def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Observation:
+def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Signals:
     """Simulate the recording and keep the first ``n_samples`` at which the joint moves."""
     simulation = Simulation(
         duration=1.05 * n_samples / RATE + 0.1,
@@ -103,7 +103,7 @@ def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Observation:
     if moving.size < n_samples:
         raise RuntimeError(f"the joint moves at {moving.size} samples only, not {n_samples}")
     torque = columns["torque"][moving]
-    return Observation(
+    return Signals(
         name="simulated knee",
         q=motion.q[moving],
         qd=motion.qd[moving],

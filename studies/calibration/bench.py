@@ -108,7 +108,7 @@ def recorded(
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
         if motions is not None:
             motions.append(exactly(bench, motion, time))
-        recordings.append(told(bench, drive, path))
+        recordings.append(as_recorded(bench, drive, path))
     return truth, recordings, float(np.mean(stuck))
 
 
@@ -239,7 +239,7 @@ def remembering(memory: str, n: int, rng: np.random.Generator) -> Array:
     return np.asarray(x / np.std(x))
 
 
-def told(bench: Bench, drive: Drive, path: Path) -> Recording:
+def as_recorded(bench: Bench, drive: Drive, path: Path) -> Recording:
     """Describe the columns of a file as a recording."""
     lag = {"lowpass": f"{MAKER} Hz", "lowpass_order": bench.maker} if bench.maker else {}
     keys: dict[str, Any] = {"torque": {"column": "torque", "unit": "N m", **lag}}

@@ -43,7 +43,7 @@ from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parent
@@ -77,7 +77,7 @@ CASES = {
 
 
 @lru_cache(maxsize=1)
-def motions() -> tuple[Observation, Observation]:
+def motions() -> tuple[Signals, Signals]:
     """Simulate two noise-free motions of the knee, the second with 2 kg at 0.35 m."""
     observations = []
     for amplitude, mass in ((0.9, 0.0), (1.2, 2.0)):
@@ -94,7 +94,7 @@ def motions() -> tuple[Observation, Observation]:
         _, motion, _ = record(PRESETS["rabbit-knee"].chain(), options)
         moving = np.flatnonzero(motion.qd != 0.0)
         observations.append(
-            Observation(
+            Signals(
                 name="loaded" if mass else "alone",
                 q=motion.q[moving],
                 qd=motion.qd[moving],

@@ -31,7 +31,7 @@ from bayesfric import Model
 from bayesfric.base.errors import BadInput
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.recordings.observation import with_motion
+from bayesfric.recordings.signals import with_motion
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.summary import summarise
 

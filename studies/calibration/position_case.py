@@ -21,7 +21,7 @@ from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
         qd0=qd[starts],
         inputs=Inputs(),
     )
-    observation = Observation(
+    observation = Signals(
         name="axis",
         q=q,
         qd=qd,

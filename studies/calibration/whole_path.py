@@ -33,7 +33,7 @@ FOLDER = Path(__file__).resolve().parent
 SEED = 2027
 
 
-def one(task: tuple[int, str, int]) -> dict[str, Any]:
+def fit_one(task: tuple[int, str, int]) -> dict[str, Any]:
     """Fit one recording and compare every quantity with the truth."""
     seed, name, number = task
     bench = CASES[name]
@@ -173,7 +173,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.workers) as pool:
         for case in options.cases:
             tasks = [(options.seed, case, n) for n in range(options.recordings)]
-            result[case] = judged(list(pool.map(one, tasks)))
+            result[case] = judged(list(pool.map(fit_one, tasks)))
             text = json.dumps(result, indent=1) + "\n"
             options.to.write_text(text, encoding="utf-8")
             print("\n".join(table(case, result[case])), flush=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench import LINES, PLAIN, Bench, Drive, gains, measured, told
+from bench import LINES, PLAIN, Bench, Drive, as_recorded, gains, measured
 from numba import njit
 from numpy.typing import NDArray
 
@@ -72,7 +72,7 @@ class Compliant:
         table = np.stack(list(columns.values()), axis=1)
         header = ",".join(columns)
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
-        return truth, [told(bench, DRIVE, path)], float(np.mean(still))
+        return truth, [as_recorded(bench, DRIVE, path)], float(np.mean(still))
 
 
 @njit(cache=True)

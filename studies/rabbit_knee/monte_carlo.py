@@ -34,7 +34,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Measurement
-from bayesfric.recordings.observation import Observation, observe
+from bayesfric.recordings.signals import Signals, observe
 from bayesfric.recordings.source import Processing
 from bayesfric.recordings.trajectory import trajectory
 
@@ -66,7 +66,7 @@ def recording(conditions: Simulation) -> Measurement:
     )
 
 
-def truth(observation: Observation) -> dict[str, float]:
+def truth(observation: Signals) -> dict[str, float]:
     """Return the true value of each estimate that the scaling does not change.
 
     The totals of eq. (11) are least-squares estimates of the true torque along

@@ -68,13 +68,13 @@ def reweighted(number: int, size: int, noises: tuple[float, float]) -> list[bool
     """Pool one fleet; whether intervals hold mean, spread, next run and, of the runs, the first."""
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(size, number)))
     true = MEAN + SPREAD * rng.standard_normal(size)
-    found = population([likelihood(regression(v, rng, noises)) for v in true], seed=number)
+    pooled = population([likelihood(regression(v, rng, noises)) for v in true], seed=number)
     following = MEAN + SPREAD * rng.standard_normal()
     return [
-        _holds(found.mean, MEAN),
-        _holds(found.spread, SPREAD),
-        _holds(found.following, following),
-        _holds(found.runs[0], float(true[0])),
+        _holds(pooled.mean, MEAN),
+        _holds(pooled.spread, SPREAD),
+        _holds(pooled.following, following),
+        _holds(pooled.runs[0], float(true[0])),
     ]
 
 
@@ -82,18 +82,22 @@ def whole_way(number: int) -> list[bool]:
     """Do the same with one posterior of five recordings."""
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(1, number)))
     true = MEAN + SPREAD * rng.standard_normal(5)
-    made = []
+    recordings = []
     for k, viscous in enumerate(true):
         q, rows = columns(rng)
         measured = torque(rows, float(viscous), float(rng.uniform(*ROUGH)), rng)
-        made.append(bf.Recording.from_arrays(TIME, q, measured, name=f"run {k}"))
+        recordings.append(bf.Recording.from_arrays(TIME, q, measured, name=f"run {k}"))
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
     joint = bf.Joint([motor], load=bf.Load(first_moment=True), offset=True)
     model = bf.Model(
-        joint, made, noise="white", vary={"motor.viscous": "recording"}, sampling={"min_ess": 1000}
+        joint,
+        recordings,
+        noise="white",
+        vary={"motor.viscous": "recording"},
+        sampling={"min_ess": 1000},
     )
-    found = bf.pool(model, seed=number)
-    jointly = found.varying[0].jointly
+    pooled = bf.pool(model, seed=number)
+    jointly = pooled.varying[0].jointly
     following = MEAN + SPREAD * rng.standard_normal()
     return [
         _holds(jointly.mean, MEAN),
@@ -122,14 +126,14 @@ def main() -> None:
     }
     if jointly:
         parts["5 rough runs, one posterior"] = lambda: [whole_way(n) for n in range(20)]
-    for name, made in parts.items():
-        held = made()
+    for name, run_all in parts.items():
+        held = run_all()
         share = np.mean(held, axis=0)
         result[name] = {
             "fleets": len(held),
             **dict(zip(("mean", "spread", "next", "run"), share.tolist(), strict=True)),
         }
-        cells = " | ".join(f"{100 * one:.1f} %" for one in share)
+        cells = " | ".join(f"{100 * x:.1f} %" for x in share)
         print(f"| {name} | {len(held)} | {cells} |", flush=True)
         file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 

@@ -52,13 +52,13 @@ EFFECTS: dict[str, tuple[str, ...]] = {
 
 def true_values(truth: dict[str, float], names: list[str]) -> dict[str, float]:
     """Give what the model's own parameters are of the joint that moved."""
-    found = {name: truth[name] for name in names if name in truth}
-    if "load.inertia" not in names and "motor.inertia" in found:
-        found["motor.inertia"] += truth.get("load.inertia", 0.0)
+    values = {name: truth[name] for name in names if name in truth}
+    if "load.inertia" not in names and "motor.inertia" in values:
+        values["motor.inertia"] += truth.get("load.inertia", 0.0)
     if "motor.viscous_positive" in truth:
         both = [truth[f"motor.viscous_{way}"] for way in ("positive", "negative")]
-        found["motor.viscous"] = float(np.mean(both))
-    return found
+        values["motor.viscous"] = float(np.mean(both))
+    return values
 
 
 class SameTruth(np.random.Generator):
@@ -77,7 +77,7 @@ class SameTruth(np.random.Generator):
         return super().uniform(*args, **kwargs)
 
 
-def one(task: tuple[str, int]) -> dict[str, Any]:
+def fit_one(task: tuple[str, int]) -> dict[str, Any]:
     """Fit one recording as its model is written."""
     name, number = task
     _, bench = BENCHES[name]
@@ -90,18 +90,18 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     rows = []
     for key, true in true_values(truth, list(summary.joint)).items():
         row = summary.joint[key]
-        told = row.reported
-        if told is None or told.status == "unidentified":
+        reported = row.reported
+        if reported is None or reported.status == "unidentified":
             continue
-        low, high = told.interval
+        low, high = reported.interval
         rows.append(
             {
                 "name": key,
                 "class": "constants" if key in constants else "friction",
-                "status": told.status,
+                "status": reported.status,
                 "true": true,
                 "posterior": [row.middle, row.sd, *row.interval],
-                "reported": [told.value, told.sd, low, high],
+                "reported": [reported.value, reported.sd, low, high],
                 # of the motion like the first: the estimate, and its sd with correlated residuals
                 "alike": [float(x) for x in estimates.loc[key, ["value", "sd_robust"]]],
             }
@@ -166,15 +166,15 @@ def line(name: str, fits: list[dict[str, Any]], others: list[dict[str, Any]]) ->
 
 def named(cases: dict[str, list[dict[str, Any]]]) -> tuple[int, int, int]:
     """Count recordings whose model lacks what is listed, those with a finding, and right names."""
-    total = found = first = 0
+    total = with_finding = first = 0
     for case, fits in cases.items():
         kinds, _ = BENCHES[case]
         if kinds:
             findings = [fit["findings"] for fit in fits]
             total += len(fits)
-            found += sum(map(bool, findings))
+            with_finding += sum(map(bool, findings))
             first += sum(bool(names) and names[0] in kinds for names in findings)
-    return total, found, first
+    return total, with_finding, first
 
 
 HEAD = (
@@ -199,7 +199,7 @@ def main() -> None:
         with ProcessPoolExecutor(options.workers) as pool:
             for case in [case for effect in options.effects for case in EFFECTS[effect]]:
                 tasks = [(case, number) for number in range(options.recordings)]
-                result[case] = list(pool.map(one, tasks))
+                result[case] = list(pool.map(fit_one, tasks))
                 options.to.write_text(json.dumps(result) + "\n")
                 print(case, flush=True)
     print(HEAD)
@@ -224,9 +224,10 @@ def main() -> None:
             others += (twins + [empty] * len(result[case]))[: len(result[case])]
         if fits:
             print(line(name, fits, others), flush=True)
-    total, found, first = named(result)
+    total, with_finding, first = named(result)
     print(
-        f"Of {total} that lack what is listed {found} have a finding, {first} the right one first."
+        f"Of {total} that lack what is listed {with_finding} have a finding, "
+        f"{first} the right one first."
     )
 
 

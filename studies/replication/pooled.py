@@ -30,7 +30,7 @@ HERE = Path(__file__).resolve().parent
 for folder in ("calibration", "diagnostics"):
     sys.path.insert(0, str(HERE.parent / folder))
 
-from bench import Bench, told
+from bench import Bench, as_recorded
 from joints import BENCHES, recorded
 from lacking import true_values
 
@@ -44,7 +44,7 @@ CASES = (
 )  # fmt: skip
 
 
-def one(task: tuple[str, int]) -> dict[str, Any]:
+def pool_one(task: tuple[str, int]) -> dict[str, Any]:
     """Pool one set of recordings; of each number whether its interval holds the truth."""
     name, number = task
     bench = BENCHES[name][1]
@@ -59,16 +59,18 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
             own = replace(bench, values={**common, VARIES: value}, spread=0.0)
             recorded(own, rng, Path(folder))
             path = Path(folder) / "recording-0.csv"  # a file each
-            recordings.append(told(own, own.drives[0], path.rename(path.with_stem(f"run-{k}"))))
+            recordings.append(
+                as_recorded(own, own.drives[0], path.rename(path.with_stem(f"run-{k}")))
+            )
         model = Model(
             bench.joint, recordings, **bench.tables, pooling={"vary": {VARIES: "recording"}}
         )
-        found = pool(model, seed=number)
-    true = true_values(common, [p.name for p in found.shared])
-    (varying,) = found.varying
+        pooled = pool(model, seed=number)
+    true = true_values(common, [p.name for p in pooled.shared])
+    (varying,) = pooled.varying
     return {
-        "outcome": found.outcome,
-        "shared": {p.name: _holds(p.value, true[p.name]) for p in found.shared if p.name in true},
+        "outcome": pooled.outcome,
+        "shared": {p.name: _holds(p.value, true[p.name]) for p in pooled.shared if p.name in true},
         "mean": _holds(varying.jointly.mean, mean),
         "spread": _holds(varying.jointly.spread, size),
         "spread over the true one": varying.jointly.spread.median / size,
@@ -84,13 +86,14 @@ def _holds(interval: Interval, true: float) -> bool:
     return bool(interval.low <= true <= interval.high)
 
 
-def line(name: str, found: list[dict[str, Any]]) -> str:
+def line(name: str, results: list[dict[str, Any]]) -> str:
     """Sum one case up."""
-    shared = [held for one in found for held in one["shared"].values()]
-    runs = [held for one in found for held in one["runs"]]
+    shared = [held for result in results for held in result["shared"].values()]
+    runs = [held for result in results for held in result["runs"]]
     parts = [f"{np.mean(shared):.0%} of {len(shared)}", f"{np.mean(runs):.0%} of {len(runs)}"]
-    parts += [f"{sum(one[k] for one in found)} of {len(found)}" for k in ("mean", "spread", "next")]
-    size = np.median([one["spread over the true one"] for one in found])
+    for key in ("mean", "spread", "next"):
+        parts.append(f"{sum(result[key] for result in results)} of {len(results)}")
+    size = np.median([result["spread over the true one"] for result in results])
     return f"| {name} | {' | '.join(parts)} | {size:.2f} |"
 
 
@@ -105,7 +108,7 @@ def main() -> None:
     result = json.loads(asked.to.read_text()) if asked.to.exists() else {}
     with ProcessPoolExecutor(asked.workers) as pool:
         for case in asked.cases:
-            result[case] = list(pool.map(one, [(case, k) for k in range(asked.sets)]))
+            result[case] = list(pool.map(pool_one, [(case, k) for k in range(asked.sets)]))
             asked.to.write_text(json.dumps(result, indent=1) + "\n")
             print(line(case, result[case]), flush=True)
 

@@ -58,39 +58,39 @@ MIDDLE, SPLIT = (-2.8, -1.7), -2.27
 
 def cases() -> dict[str, dict[str, tuple[Path, str]]]:
     """Name every joint's recordings, each with the file it stands for and its configuration."""
-    found: dict[str, dict[str, tuple[Path, str]]] = {}
+    cases: dict[str, dict[str, tuple[Path, str]]] = {}
     for name, file in (("EMPS", "white"), ("EMPS, viscous by direction", "asymmetric")):
         text = _bare(STUDIES / "emps" / f"emps-{file}.toml").replace('stribeck = "either"\n', "")
-        found[name] = {
+        cases[name] = {
             run: (STUDIES / "emps", text.replace("DATA_EMPS.mat", f"{run}.mat"))
             for run in ("DATA_EMPS", "DATA_EMPS_PULSES")
         }
     arm = _bare(STUDIES / "ur10e" / "ur10e-joint2.toml")
     for name, spans in _arm_parts().items():
-        found[name] = {
+        cases[name] = {
             run: (STUDIES / "ur10e", arm.replace('stop = "60 s"\n', f'stop = "60 s"\n{words}\n'))
             for run, words in spans.items()
         }
-    found["pendulum, controllers"] = {
+    cases["pendulum, controllers"] = {
         run: (STUDIES / "dfki-pendulum", PENDULUM.format(name=run, part=part))
         for run, part in PENDULUM_PARTS.items()
     }
     servo = _bare(STUDIES / "xl330" / "xl330.toml")
     files = sorted((DATA / "xl330-pendulum").glob("*.json"))
-    head, one, tail = re.match(
+    head, middle, tail = re.match(
         r"(.*?)(\[\[recordings\]\].*?)(\[processing\].*)", servo, re.DOTALL
     ).groups()
 
     def fitted_together(some: list[Path]) -> tuple[Path, str]:
-        runs = "".join(one.replace("*.json", file.name) for file in some)
+        runs = "".join(middle.replace("*.json", file.name) for file in some)
         return STUDIES / "xl330", head + runs + tail
 
     # they were recorded gain by gain, the four trajectories in turn
-    found["XL330, gains"] = {
+    cases["XL330, gains"] = {
         str(k): fitted_together(files[4 * k : 4 * k + 4]) for k in range(len(files) // 4)
     }
-    found["XL330, trajectories"] = {str(k): fitted_together(files[k::4]) for k in range(4)}
-    return found
+    cases["XL330, trajectories"] = {str(k): fitted_together(files[k::4]) for k in range(4)}
+    return cases
 
 
 def _bare(path: Path) -> str:
@@ -121,7 +121,7 @@ def _arm_parts() -> dict[str, dict[str, str]]:
     }
 
 
-def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
+def fit_one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
     """Fit one recording; gives each number by the posterior, with robust sds, and as reported."""
     from bayesfric import Model
     from bayesfric.problem.config import parse_config
@@ -249,7 +249,7 @@ def main() -> None:
     tasks = [(case, run, *known[case][run]) for case in requested for run in known[case]]
     if tasks:
         with ProcessPoolExecutor(2) as pool:
-            fits += list(pool.map(one, tasks))
+            fits += list(pool.map(fit_one, tasks))
         fits.sort(key=lambda fit: list(known).index(fit["case"]))
         text = json.dumps({"fits": fits} | summed(fits), indent=1).replace("NaN", "null")
         path.write_text(text + "\n", encoding="utf-8")
@@ -264,8 +264,8 @@ def main() -> None:
             for k in COLUMNS
         ]
         print(f"| {case} | " + " | ".join(cells) + " |")
-    for group, (median, most) in result["widths"].items():
-        print(f"{group}: width over the posterior's {median:.2f}, 90 % quantile {most:.2f}")
+    for group, (median, high) in result["widths"].items():
+        print(f"{group}: width over the posterior's {median:.2f}, 90 % quantile {high:.2f}")
 
 
 if __name__ == "__main__":

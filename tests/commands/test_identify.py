@@ -142,8 +142,8 @@ def test_the_best_excitation_is_a_file_that_can_be_played(axis):
     best = record["candidates"][0]
     np.testing.assert_allclose(np.diff(time), 0.002, rtol=1e-6)
     assert time.size * 0.002 == pytest.approx(best["duration"])
-    most = min(best["peak_torque"], record["limits"]["torque"])
-    assert np.abs(torque).max() <= most * (1 + 1e-5)
+    max_count = min(best["peak_torque"], record["limits"]["torque"])
+    assert np.abs(torque).max() <= max_count * (1 + 1e-5)
     # the package reads it as any recording: names in line 1, units in line 2
     source = Source(
         file=path.name,

@@ -10,8 +10,7 @@ from numba import get_num_threads, set_num_threads
 from scipy.stats import norm
 
 import bayesfric as bf
-from bayesfric.diagnostics.calibration_check import calibration_check
-from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.explanation import Explanation, calibration_check
 from bayesfric.diagnostics.regression import Replicate
 from bayesfric.diagnostics.statistics import REPLICATES, Autocorrelation
 from bayesfric.fit.model import Model

@@ -19,7 +19,7 @@ from bayesfric.diagnostics.motion import (
 from bayesfric.diagnostics.statistics import TARGET_DELAY
 from bayesfric.recordings.filters import ParallelFilter, derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import Inputs, Signal
-from bayesfric.recordings.observation import FAR_DELAYS
+from bayesfric.recordings.signals import FAR_DELAYS
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 

@@ -10,7 +10,7 @@ from bayesfric.diagnostics.replicates import replicate_motion, replicates
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import finest_step, lay_windows
 from bayesfric.recordings.measurement import Inputs, Signal
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import TRUTH, axis, draws_about, model

@@ -26,7 +26,7 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
@@ -379,7 +379,7 @@ def test_substeps_are_as_few_as_the_encoder_allows(knee):
     finest = resolution(shooting.trajectories[0].position)
     assert error <= 0.01 * finest
     if substeps > 1:
-        assert choose_substeps(shooting, VALUES, states, most=substeps // 2)[1] > 0.01 * finest
+        assert choose_substeps(shooting, VALUES, states, max_count=substeps // 2)[1] > 0.01 * finest
     exact = shooting.positions(VALUES[None], states, 64)[0]
     plain = shooting.positions(VALUES[None], states, substeps)[0]
     # the estimate is one of the order, not a bound

@@ -27,7 +27,7 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 from tests.identifiability.bench import AXIS, CHAIN, KNEE, PERIOD, VALUES, problem

@@ -135,10 +135,10 @@ def wrong():
 def test_a_right_model_is_widened_by_its_residual_s_scatter_only(right):
     """Of ten directions of weights: a variance in a thousand is 2.96 times the posterior's."""
     assert not right.fit.discrepancy.is_plausible
-    most = np.sqrt(chi2.ppf(0.999, 10) / 10.0)
+    max_count = np.sqrt(chi2.ppf(0.999, 10) / 10.0)
     for row in right.summary.joint.values():
         assert row.value == row.middle
-        assert 0.95 * row.sd < row.reported.sd < most * row.sd
+        assert 0.95 * row.sd < row.reported.sd < max_count * row.sd
 
 
 def test_intervals_of_a_wrong_model_hold_the_truth(wrong):
@@ -225,10 +225,10 @@ def test_a_column_orthogonal_to_the_model_moves_nothing(right):
     )
     assert errors.chance > 0.99
     # by chance each direction of unit noise is moved by size times the rms over the noise
-    most = 0.3 * np.sqrt(np.mean(o.measured**2)) / fit.posterior["noise.sigma"].mean()
+    max_count = 0.3 * np.sqrt(np.mean(o.measured**2)) / fit.posterior["noise.sigma"].mean()
     linear = fit.target.unbounded(fit.posterior.flat(500))
     steps = np.abs(errors.mean) / linear[:, : len(fit.target.free)].std(axis=0)
-    assert steps.max() < 4.0 * most * np.sqrt(steps.size)
+    assert steps.max() < 4.0 * max_count * np.sqrt(steps.size)
 
 
 def test_coordinates_of_a_gearbox_are_friction_or_constants(make_observation):

@@ -115,10 +115,10 @@ def test_an_open_autocorrelation_moves_the_estimate_by_less_than_a_sd():
             inverse = np.linalg.inv(covariance(np.array([min(end, 0.95)]), n))
             return abs(x @ inverse @ y / (x @ inverse @ x)) / sd
 
-        end, most = 2.0 * choice.half_range, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
+        end, max_count = 2.0 * choice.half_range, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
         assert moved(end) <= 1.0 + 1e-6
-        held.append(end < 0.99 * most)
-        assert held[-1] == (moved(most) > 1.0)
+        held.append(end < 0.99 * max_count)
+        assert held[-1] == (moved(max_count) > 1.0)
         assert not held[-1] or moved(2.0 * end) > 1.0
     assert 3 < sum(held) < len(held) - 3
 

@@ -78,7 +78,7 @@ def refused(folder, used=None, **more):
     message = str(caught.value)
     assert "\n" not in message
     assert caught.value.where
-    assert caught.value.what
+    assert caught.value.problem
     assert caught.value.hint
     return message
 

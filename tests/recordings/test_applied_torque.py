@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from bayesfric.recordings.observation import applied_torque
+from bayesfric.recordings.signals import applied_torque
 from tests.conftest import made_recording
 
 PERIOD = 0.002

@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.held_out import Validation, divide, fitted
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.checks import clipped, feedback, speed_delay, unwrapped
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing, Recording
 from tests.conftest import made_recording
 from tests.recordings.samples import has, measured

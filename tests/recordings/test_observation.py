@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 
@@ -56,12 +56,12 @@ def test_outputs_of_an_excerpt_are_those_of_the_recording():
     st.lists(st.integers(20, 900), min_size=1, max_size=6),
     st.integers(60, 4000),
 )
-def test_an_excerpt_of_a_recording_keeps_its_segments(lengths, most):
+def test_an_excerpt_of_a_recording_keeps_its_segments(lengths, max_count):
     ends = np.cumsum([0, *lengths]).tolist()
     segments = tuple(pairwise(ends))
     whole = recording(n=ends[-1], segments=segments)
-    short = whole.excerpt(most)
-    assert short is whole or 0 < short.time.size <= most
+    short = whole.excerpt(max_count)
+    assert short is whole or 0 < short.time.size <= max_count
     samples = np.searchsorted(whole.time, short.time)
     np.testing.assert_array_equal(short.position, whole.position[samples])
     for a, b in short.segments:

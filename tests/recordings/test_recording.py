@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing, Recording, Source, Torque
 
 from .samples import has, measured, source, swing

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.recordings.checks import standstill_outputs, standstill_samples
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.observation import observe
 from bayesfric.recordings.read import read_recordings
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing, Recording
 
 from .samples import measured, swing

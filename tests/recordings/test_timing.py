@@ -6,7 +6,7 @@ import pytest
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law
-from bayesfric.recordings.observation import (
+from bayesfric.recordings.signals import (
     observe,
     retimed,
     target_torque,

@@ -5,7 +5,7 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 from bayesfric.recordings.trajectory import divided, trajectory
 from tests.conftest import made_recording

@@ -12,7 +12,7 @@ from bayesfric.inference.posterior import Diagnostics, Posterior
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import PRESETS, Joint
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
 from bayesfric.report import run_directory
 from bayesfric.report.summary.summary import summarise

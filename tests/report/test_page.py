@@ -8,8 +8,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from bayesfric.report.page.pages import run_page
-from bayesfric.report.page.rendering import html_symbol, page_figure
+from bayesfric.report.page.pages import html_symbol, page_figure, run_page
 from bayesfric.report.paper.tables import escaped, latex_unit, parameter_table, parameters_latex
 
 from .made_summaries import FOUND, every_kind, knee, loaded

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bayesfric.diagnostics.calibration_check import CalibrationCheck
+from bayesfric.diagnostics.explanation import CalibrationCheck
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.pages import run_page

@@ -105,7 +105,7 @@ def test_calibration_checks_predict_what_filters_do_and_doubt_it(paths_result):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["geared", "knee"])
 def test_the_whole_path_of_a_few_files(whole_path, case):
-    runs = [whole_path.one((whole_path.SEED, case, number)) for number in range(1000, 1008)]
+    runs = [whole_path.fit_one((whole_path.SEED, case, number)) for number in range(1000, 1008)]
     result = whole_path.judged(runs)
     assert result["refused"] == []
     assert result["reliable"] >= 7

@@ -64,7 +64,7 @@ def test_a_regression_has_its_exact_posterior(fleets):
 def test_a_model_that_lacks_a_term_again(lacking):
     case = lacking.EFFECTS["load loss"][1]
     for number, before in enumerate(committed("replication/lacking.json")[case][:3]):
-        again = lacking.one((case, number))
+        again = lacking.fit_one((case, number))
         assert again["findings"] == before["findings"]
         assert again["outcome"] == before["outcome"]
         for new, old in zip(again["rows"], before["rows"], strict=True):

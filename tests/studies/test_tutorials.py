@@ -57,9 +57,9 @@ def to_mujoco_and_a_controller(text):
     (plain,) = numbers("MuJoCo as it is, from our roll-out: +# mrad", text)
     (mended,) = numbers("with friction set at each step: +# mrad", text)
     assert mended < 0.2 * plain
-    (most,) = numbers("feed-forward: up to # N m", text)
+    (max_count,) = numbers("feed-forward: up to # N m", text)
     (off,) = numbers("off the truth by at most # mN m", text)
-    assert off < 0.01 * 1e3 * most
+    assert off < 0.01 * 1e3 * max_count
     if "no C compiler here" not in text:
         assert numbers("compiled C and Python agree within # N m", text)[0] < 1e-12
 

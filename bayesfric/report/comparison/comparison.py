@@ -236,8 +236,8 @@ def _quantity(
 def _check_unit(where: str, unit: str, quantity: Quantity) -> None:
     if unit != quantity.unit:
         units = (unit or "no unit", quantity.unit or "no unit")
-        what = f"is in {units[0]!r}, but in {units[1]!r} in {quantity.run}"
-        raise BadInput(where, what, "compare runs of the same kind of joint, in one unit")
+        problem = f"is in {units[0]!r}, but in {units[1]!r} in {quantity.run}"
+        raise BadInput(where, problem, "compare runs of the same kind of joint, in one unit")
 
 
 def _not_alike(summary: Summary, name: str, unit: str) -> str:
@@ -263,8 +263,8 @@ def _check_common(quantities: list[Quantity], columns: list[Column]) -> None:
     for run, results in reversed(names.items()):
         others = [theirs for other, theirs in names.items() if other != run]
         if others and results.isdisjoint(set[str]().union(*others)):
-            what = "has no quantity in common with the other runs"
-            raise BadInput(run, what, "compare runs whose mechanisms share elements")
+            problem = "has no quantity in common with the other runs"
+            raise BadInput(run, problem, "compare runs whose mechanisms share elements")
 
 
 def _far(quantities: list[Quantity], column: Column, baseline: Column | None) -> list[str]:

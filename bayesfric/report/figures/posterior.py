@@ -59,7 +59,7 @@ class Shown(NamedTuple):
         return max(low - margin, min(lower, low)), min(high + margin, max(upper, high))
 
 
-def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
+def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | None:
     """Draw marginal and pairwise posteriors of at most ``most`` quantities, a page wide.
 
     What the data leave open is hatched, without an interval, and its pairs are not filled. Where
@@ -69,7 +69,7 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
 
     # what never moved has no histogram
     moved = [q for q in choice(fit.wide, summary) if np.ptp(q.draws) > 1e-12 * abs(q.draws).max()]
-    if not (shown := moved[:most]):
+    if not (shown := moved[:max_count]):
         return None
     ranges = [quantity.limits for quantity in shown]
     exponents = [style.power_of_ten(*np.quantile(q.draws, [0.05, 0.95]).tolist()) for q in shown]

@@ -1,4 +1,4 @@
-"""Measured outputs with their posterior predictive, residuals, and simulated motion."""
+"""Measured outputs with their posterior predictive, residuals, simulated motion, and friction."""
 
 from __future__ import annotations
 
@@ -7,14 +7,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from scipy.ndimage import binary_dilation
 from scipy.special import ndtri
 
 from bayesfric.estimates.torque import load_at_outputs
+from bayesfric.identifiability.friction_curve import (
+    FEWEST,
+    NEAR,
+    Curve,
+    friction_curves,
+    has_open_scale,
+)
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood import Outputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.signals import Signals
 from bayesfric.report.figures import style
-from bayesfric.report.figures.style import Array, Look
+from bayesfric.report.figures.style import Array, Look, few_ticks
 from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.results.roll_out import RollOut
 
@@ -66,8 +76,8 @@ def prediction_figure(fit: Fit) -> Figure:
             below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
             style.few_ticks(below.xaxis, 8 if len(shown) == 1 else 4)
             above.set_title(style.shortened(o.name), fontsize=style.SMALL, pad=2.5)
-        for ax, most, words in zip(axes[:, 0], (5, 4), (quantity, "residual"), strict=True):
-            style.few_ticks(ax.yaxis, most)
+        for ax, max_count, words in zip(axes[:, 0], (5, 4), (quantity, "residual"), strict=True):
+            style.few_ticks(ax.yaxis, max_count)
             ax.set_ylabel(f"{words} ({unit})")
         figure.align_ylabels(axes[:, 0])
         style.legend_above(figure)
@@ -96,7 +106,7 @@ def _predicted(above: Axes, below: Axes, o: Outputs, *predicted: Array) -> None:
     below.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", **look)
 
 
-def _hatch_excluded(ax: Axes, observation: Observation) -> None:
+def _hatch_excluded(ax: Axes, observation: Signals) -> None:
     """Hatch the spans that the user excluded."""
     if spans := [(start, stop - start) for start, stop in observation.left_out]:
         look: Look = {"facecolor": "none", "edgecolor": "#8a8a8a", "hatch": style.OPEN_HATCH}
@@ -171,9 +181,9 @@ def residuals(fit: Fit) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def binned(table: pd.DataFrame, by: str, most: int = 16) -> pd.DataFrame:
+def binned(table: pd.DataFrame, by: str, max_count: int = 16) -> pd.DataFrame:
     """Give mean and central 90 % of residuals in bins of equally many outputs, five at least."""
-    count = max(1, min(most, len(table) // 5))
+    count = max(1, min(max_count, len(table) // 5))
     place = table[by].rank(method="first").sub(1.0) * count // len(table)
     residual = (bins := table.groupby(place))["residual"]
     ends = {
@@ -210,3 +220,84 @@ def rollout_figure(rollout: RollOut) -> Figure:
         style.legend_above(figure)
         figure.align_ylabels(list(axes))
     return figure
+
+
+_OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6, "gid": "outside"}
+
+
+def friction_figure(fit: Fit) -> Figure:
+    """Draw friction at the motor over speed, a column wide, at some loads if it depends on load.
+
+    Loads below zero drive the motor (back-driving). Where hardly any outputs are near, the median
+    is dashed, without a band; where the data do not determine the curve the band is hatched.
+    """
+    curves = friction_curves(fit)
+    rotary = fit.chain.motor_motion == "rotary"
+    kind, unit, per = ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
+    colour = style.PALETTE[0]
+    handles = [
+        Line2D([], [], color=colour, label="posterior median", gid="median"),
+        Patch(label=f"{100 * LEVEL:.0f} % band", **_area(colour, False)),
+        Line2D([], [], color=colour, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE),
+        Patch(label="NOT determined by the data", **_area(colour, True)),
+    ]
+    with style.paper_figure(style.COLUMN, 2.4) as figure:
+        ax = figure.subplots()
+        for colour, curve in zip(style.PALETTE, curves, strict=False):
+            load = float(curve.load[0])
+            label = f"{load:+.3g} {unit}".replace("-", "\N{MINUS SIGN}") if load else "no load"
+            _draw(ax, curve, colour, label)
+        ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
+        ax.set(xlabel=rf"motor speed $\dot q_m$ ({per})", ylabel=f"friction {kind} $F$ ({unit})")
+        few_ticks(ax.xaxis, 6)
+        few_ticks(ax.yaxis, 6)
+        if len(curves) > 1:
+            ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
+        drawn = {artist.get_gid() for artist in ax.get_children()}
+        style.legend_above(figure, [h for h in handles if h.get_gid() in drawn], 2)
+    return figure
+
+
+def _draw(ax: Axes, curve: Curve, colour: str, label: str) -> None:
+    """Draw median and band where recordings were, and beyond that a dashed median alone."""
+    x, shown, (low, median, high) = curve.speed, curve.shown, np.sign(curve.speed) * curve.ends
+    for is_open in (False, True):
+        where = shown & (curve.determined != is_open)
+        if where.any():
+            # grown by one neighbour, so that parts of a band meet
+            inside = (binary_dilation(where) & shown).tolist()
+            ax.fill_between(x, low, high, where=inside, **_area(colour, is_open))
+    if not shown[np.isfinite(median)].all():
+        ax.plot(x, median, color=colour, **_OUTSIDE)
+    near = np.where(binary_dilation(shown), median, np.nan)
+    ax.plot(x, near, color=colour, label=label, gid="median")
+
+
+def _area(colour: str, is_open: bool) -> Look:
+    if is_open:
+        hatch = {"hatch": style.OPEN_HATCH, "linewidth": 0.4, "gid": "open"}
+        return {"facecolor": "none", "edgecolor": colour} | hatch
+    return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0, "gid": "band"}
+
+
+def friction_caption(fit: Fit) -> str:
+    """Say what load means in the figure, which depends on what the run can determine."""
+    caption = (
+        "Friction of the whole joint at the motor, at constant speed: posterior median and "
+        f"{100 * LEVEL:.0f} % band, hatched where the data do not determine it. Dashed where fewer "
+        f"than {FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
+    )
+    load = "the torque at the joint over the ratio, positive against the motion."
+    if has_open_scale(fit):
+        load = (
+            "the mean of its torque at the motor while driving and while driven: the scale "
+            "between load and gearbox is open, and only this mean is the same for all parameters "
+            "that make the same torque."
+        )
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    caption += (
+        f" and, at once, of load. Load is {load}" if lossy else ". No friction depends on load."
+    )
+    if fit.chain.gain:
+        caption += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
+    return caption

@@ -13,10 +13,11 @@ from bayesfric.mechanism.quantities import effort_words
 from bayesfric.recordings.checks import too_slow
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.forest import forest_figure
-from bayesfric.report.figures.friction import friction_caption, friction_figure
 from bayesfric.report.figures.posterior import corner_figure, ridge_figure
 from bayesfric.report.figures.prediction import (
     MOST,
+    friction_caption,
+    friction_figure,
     prediction_figure,
     residual_figure,
     rollout_figure,

@@ -160,10 +160,10 @@ def _upright(subscript: str) -> str:
     return re.sub(words, lambda m: rf"\mathrm{{{m[0].replace(' ', chr(92) + ' ')}}}", subscript)
 
 
-def shortened(name: str, most: int = 36) -> str:
+def shortened(name: str, max_count: int = 36) -> str:
     """Cut a user's name to length, and escape dollar signs."""
-    if len(name) > most:
-        name = f"{name[: most - 1]}…"
+    if len(name) > max_count:
+        name = f"{name[: max_count - 1]}…"
     return name.replace("$", r"\$")
 
 
@@ -214,13 +214,13 @@ def remark_below(figure: Figure, words: str) -> None:
     figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
-def few_ticks(axis: Axis, most: int, *, inner: bool = False, exponent: int = 0) -> None:
+def few_ticks(axis: Axis, max_count: int, *, inner: bool = False, exponent: int = 0) -> None:
     """Put at most ``most`` plain numbers on an axis, over the power of ten in the axis' label.
 
     ``inner`` ones are away from the ends, for panels that touch.
     """
     prune = "both" if inner else None
-    axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10], min_n_ticks=2, prune=prune))
+    axis.set_major_locator(MaxNLocator(max_count, steps=[1, 2, 5, 10], min_n_ticks=2, prune=prune))
     formatter = ScalarFormatter(useOffset=False)
     formatter.set_scientific(bool(exponent))
     formatter.set_powerlimits((exponent, exponent))

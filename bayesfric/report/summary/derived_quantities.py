@@ -44,7 +44,7 @@ class Group:
     quantities: list[Derived]  # with the posterior's draws of each
     target: Target
     of_chain: Callable[[Array], Array]  # the chain's parameters `(n, n_parameters)` to `(k, n)`
-    most: int  # draws that are enough to judge them by
+    max_count: int  # draws that are enough to judge them by
     prior: tuple[int, int]  # number of draws of the prior, and the key of their random numbers
 
     def values(self, draws: Array) -> Array:
@@ -182,13 +182,13 @@ def _totals(fit: Fit, *, budget: int = 25_000_000) -> Group:
     wanted = [
         i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
     ]
-    most = max(400, budget // sum(o.q.size for o in observations))
+    max_count = max(400, budget // sum(o.q.size for o in observations))
 
     def every(parameters: Array) -> Array:
         torques = [filtered_torque(fit.chain, o, parameters) for o in observations]
         return projection.solve(np.concatenate(torques, axis=1).T)
 
-    drawn = every(fit.chain_draws(most)) if wanted else np.empty((len(names), 1))
+    drawn = every(fit.chain_draws(max_count)) if wanted else np.empty((len(names), 1))
     described = [projection.describe(name) for name, *_ in names]
     wanted = [i for i in wanted if not _is_zero(i, drawn, [unit for unit, *_ in described])]
 
@@ -202,7 +202,7 @@ def _totals(fit: Fit, *, budget: int = 25_000_000) -> Group:
         flags = {"gauge_free": True, "of_motion": lossy}
         quantities.append(Derived(names[i][1], unit, symbol, meaning + without, drawn[i], **flags))
     return Group(
-        quantities, fit.target, lambda parameters: every(parameters)[wanted], most, (300, 3)
+        quantities, fit.target, lambda parameters: every(parameters)[wanted], max_count, (300, 3)
     )
 
 
@@ -253,7 +253,7 @@ def sound_quantities(fit: Fit, group: Group) -> Flags:
         return np.ones(number, dtype=np.bool_)
     draws = fit.posterior.draws
     ensembles, walkers, steps, d = draws.shape
-    draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // group.most))]
+    draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // group.max_count))]
     if draws.shape[2] < 2:
         return np.zeros(number, dtype=np.bool_)
     values = group.values(draws.reshape(-1, d))

@@ -85,7 +85,7 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     wide = fit.wide.posterior.flat()
     draws = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
     for group in derived:
-        draws |= group.named(wide[:: -(-len(wide) // group.most)])
+        draws |= group.named(wide[:: -(-len(wide) // group.max_count)])
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     priors = {n: p.limits for n, p in zip(fit.posterior.names, fit.posterior.priors, strict=True)}
     changes = {}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import norm
 
-from bayesfric.diagnostics.calibration_check import CalibrationCheck
+from bayesfric.diagnostics.explanation import CalibrationCheck
 from bayesfric.diagnostics.statistics import REPLICATES
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places

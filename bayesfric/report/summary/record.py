@@ -63,7 +63,7 @@ class Part(BaseModel):
         except ValidationError as error:
             wrong = configuration_error(f"{where}: ", "configuration", error, document, cls)
             hint = "name a run that 'bayesfric fit' wrote, or fit it again"
-            raise BadInput(wrong.where, wrong.what, hint) from None
+            raise BadInput(wrong.where, wrong.problem, hint) from None
 
     def as_dict(self) -> dict[str, Any]:
         """Give what JSON has: strings, numbers, lists and dicts, and ``None`` for infinity."""
@@ -533,8 +533,8 @@ def read_summary_file(run: Path) -> dict[str, Any]:
     hint = "name a run directory, as 'bayesfric fit' makes it"
     try:
         if not run.is_dir():
-            what = "is a file" if run.exists() else "there is no such folder"
-            raise BadInput(str(run), what, hint)
+            problem = "is a file" if run.exists() else "there is no such folder"
+            raise BadInput(str(run), problem, hint)
         if not file.exists():
             raise BadInput(str(run), "holds no summary.json", hint)
     except OSError as error:  # of its name
@@ -544,6 +544,6 @@ def read_summary_file(run: Path) -> dict[str, Any]:
         raise BadInput(str(file), "holds no table of results", again)
     # runs of 0.1 hold other numbers
     if version := re.match(r"0\.[01]\b", str(document.get("bayesfric"))):
-        what = f"is a run of bayesfric {version[0]}, which this version cannot read"
-        raise BadInput(str(run), what, "fit it again")
+        problem = f"is a run of bayesfric {version[0]}, which this version cannot read"
+        raise BadInput(str(run), problem, "fit it again")
     return document

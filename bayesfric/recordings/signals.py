@@ -54,7 +54,7 @@ Settings = dict[str, float | int | str]
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class Signals:
     """Filtered signals that a model is compared with, and what it needs to predict them.
 
     Inside a segment outputs may be missing (dead zone, excluded spans); neighbours are those whose
@@ -90,7 +90,7 @@ class Observation:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
-    def excerpt(self, limit: int = 5_000, *, neighbours: int = 50) -> Observation:
+    def excerpt(self, limit: int = 5_000, *, neighbours: int = 50) -> Signals:
         """Keep about ``limit`` outputs, unchanged, in runs of ``neighbours`` all over it.
 
         Windows overlap, so neighbours share samples.
@@ -121,7 +121,7 @@ class Observation:
 
 def observe(
     recording: Measurement, processing: Processing, resolution: Resolution | None = None
-) -> Observation:
+) -> Signals:
     """Filter, differentiate and decimate a recording.
 
     Defaults come from the recording and its ``resolution``. A cut-off that the sampling rate cannot
@@ -159,7 +159,7 @@ def observe(
                 "rest: the position is never constant for long enough to detect standstill; "
                 "such samples are not used"
             )
-    return Observation(
+    return Signals(
         name=recording.name,
         q=q,
         qd=qd,
@@ -467,7 +467,7 @@ def as_position(torque: Array, segments: Segments, period: float, settings: Sett
     return lowpass(torque, segments, 1.0 / period, cutoff, order)
 
 
-def refinable(o: Observation) -> bool:
+def refinable(o: Signals) -> bool:
     """Whether the band ends well below the position's low-pass, so that a model may refine it.
 
     See :mod:`bayesfric.estimates.processing`. Not with central differences, as in published
@@ -477,9 +477,7 @@ def refinable(o: Observation) -> bool:
     return o.settings["differentiation"] == "exact" and 0.0 < 2.0 * band <= cutoff
 
 
-def with_motion(
-    o: Observation, recording: Measurement, q: Array, qd: Array, qdd: Array
-) -> Observation:
+def with_motion(o: Signals, recording: Measurement, q: Array, qd: Array, qdd: Array) -> Signals:
     """Replace the low-passed motion by a refined one; the torque is then not low-passed."""
     settings = {**o.settings, "torque_lowpass": 0.0, "motion": "refined"}
     step = f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes "
@@ -497,8 +495,9 @@ def with_motion(
 def _band_warnings(filters: _Filters, recording: Measurement) -> Iterator[str]:
     """Warn of a band unlike the decimation, and of an acceleration that its noise drowns."""
     band, half, resolution = filters.band, filters.fs / (2 * filters.factor), filters.resolution
-    least, most = (SHARING * half if filters.factor > 1 else 0.0), FOLDING * half * (1.0 + 1e-9)
-    if band is not None and not least <= band <= most:
+    low = SHARING * half if filters.factor > 1 else 0.0
+    high = FOLDING * half * (1.0 + 1e-9)
+    if band is not None and not low <= band <= high:
         yield (
             f"band: {band:.6g} Hz does not fit half the decimated rate ({half:.6g} Hz), so "
             "frequencies above fold back, or neighbouring outputs share noise; decimate = "
@@ -586,7 +585,7 @@ def _step_sentences(filters: _Filters, recording: Measurement, settings: Setting
 # Of a torque from a target, the target acts late: ``y(t - d)`` is the torque with that target.
 
 
-def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
+def timed(o: Signals, recording: Measurement, delay: float) -> Signals:
     """Use the torque of ``delay`` seconds earlier, up to the trimmed ends."""
     longest = longest_delay(o, recording.period)
     if abs(delay) > longest:
@@ -601,24 +600,24 @@ def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
     return replace(corrected, steps=(*o.steps, step), settings=settings)
 
 
-def longest_delay(o: Observation, period: float) -> float:
+def longest_delay(o: Signals, period: float) -> float:
     """Longest delay, s, that the trimmed ends of a recording allow."""
     return float(o.settings.get("trim_samples", 0)) * period
 
 
-def filtered_rate(o: Observation) -> Array:
+def filtered_rate(o: Signals) -> Array:
     """Rate ``(M,)`` of the torque after :func:`retimed`, N m/s or N/s."""
     assert o.inputs.torque_rate is not None
     return o.filter.apply(o.inputs.torque_rate.values)
 
 
 def retimed(
-    o: Observation,
+    o: Signals,
     segments: Segments,
     period: float,
     delay: float,
     recording: Measurement | None = None,
-) -> Observation:
+) -> Signals:
     """Correct as :func:`timed`, without checks; a back-EMF is computed from the position."""
     back_emf = None if recording is None else recording.back_emf
     if recording is not None and recording.feedback is not None:
@@ -636,7 +635,7 @@ def retimed(
     )
 
 
-def command_rate(o: Observation, recording: Measurement, delay: float = 0.0) -> Array:
+def command_rate(o: Signals, recording: Measurement, delay: float = 0.0) -> Array:
     """Rate ``(N,)`` of the torque by its late target alone, N m/s or N/s; 0 at its limit."""
     law = recording.law
     assert law is not None
@@ -646,7 +645,7 @@ def command_rate(o: Observation, recording: Measurement, delay: float = 0.0) -> 
     return np.asarray(law.scale * inside * rate)
 
 
-def _rate(o: Observation, x: Array, segments: Segments, period: float, delay: float) -> Array:
+def _rate(o: Signals, x: Array, segments: Segments, period: float, delay: float) -> Array:
     """Differentiate a delayed signal ``(N,)`` by time, low-passed as the position."""
     cutoff, order = float(o.settings.get("lowpass", 0.0)), int(o.settings.get("order", 1))
     # only noise is above the low-pass that the position has passed
