@@ -113,6 +113,6 @@ def test_a_term_of_time_at_the_load():
     assert abs(row["value"] - 0.3) < 5.0 * row["sd_robust"]
 
 
-def test_an_element_that_does_not_exist(model):
-    with pytest.raises(BadInput, match="did you mean 'motor'"):
-        model.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))
+def test_an_element_that_does_not_exist():
+    with pytest.raises(ValueError, match="did you mean 'motor'"):
+        JOINT.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))

@@ -253,10 +253,11 @@ def lost_terms(
             without = values.copy()
             without[0, joint.names.index(p.name)] = 0.0
             term = whole - torque_along(joint, without, motions)[0]
-            left = term
-            if number not in ("stiffness", "stiffness_cubic"):
-                left = term - basis @ (np.linalg.pinv(basis) @ term)
-            fitted = losses if left is not term else []
+            columns, fitted = basis, losses
+            if number in ("stiffness", "stiffness_cubic"):
+                fitted = ["stiffness"] if "stiffness" in form.carried else []
+                columns = stacked(motions)[:1].T[:, : len(fitted)]
+            left = term - columns @ (np.linalg.pinv(columns) @ term)
             sizes: dict[str, Any] = {"torque": rms_of(term), "left": rms_of(left), "fitted": fitted}
             sizes["torque_unit"] = "N m" if joint.motor_motion == "rotary" else "N"
             lost.append({"kind": "fitted", **row, **sizes})
