@@ -23,7 +23,7 @@ from bayesfric.problem.config import Config
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import add_model_error, find_doubts, put_doubts
-from bayesfric.report.summary.parts import friction_part, self_check_doubts, self_check_part
+from bayesfric.report.summary.parts import friction_part, self_check_part
 from bayesfric.report.summary.record import Message, Summary
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
@@ -103,12 +103,10 @@ def conclude(
         "may_be_simulated": may_be_simulated(config, recordings),
     }
     summary = summary.model_copy(update=update)
-    doubts = find_doubts(fit, summary, contradicted)
     if checked is not None:
         part = self_check_part(fit, summary, checked, derived)
         summary = summary.model_copy(update={"self_check": part})
-        doubts += self_check_doubts(summary)
-    summary = put_doubts(summary, doubts)
+    summary = put_doubts(summary, find_doubts(fit, summary, contradicted))
     return summary.model_copy(update={"friction": friction_part(fit, summary)})
 
 

@@ -27,7 +27,7 @@ class Reported(BaseModel):
     ``identified`` by the data; a ``limit``, which with a chance of half of one less the level lies
     beyond ``bound`` (``at_most`` or at least); ``prior``: by data and prior together;
     ``unidentified``: value and interval are those of prior and bounds, or the sampling has not
-    converged; ``doubtful``: a finding moves it by more than its interval.
+    converged; ``doubtful``: a doubt concerns it (``find_doubts``).
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -60,15 +60,14 @@ class Verdict:
     outcome: Outcome
     explained: float | None  # share of the torque's variance that the model explains
     asked: int  # number of candidate effects that were tested
-    doubtful: int  # number of quantities that a finding moves
+    doubtful: int  # number of quantities that a doubt concerns
 
 
 def outcome_of(*, converged: bool, doubted: bool, lacking: bool, tested: bool) -> Outcome:
     """Say whether a run can be used.
 
     ``usable`` where the model lacks something that intervals allow for, ``unchecked`` where missing
-    effects could not be tested, ``doubtful`` where a finding moves numbers by more than their
-    intervals.
+    effects could not be tested, ``doubtful`` where doubts concern numbers.
     """
     if not converged:
         return "not converged"

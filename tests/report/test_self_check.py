@@ -10,8 +10,8 @@ from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.doubts import put_doubts
-from bayesfric.report.summary.parts import self_check_doubts, self_check_part
+from bayesfric.report.summary.doubts import put_doubts, self_check_doubts
+from bayesfric.report.summary.parts import self_check_part
 from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
 from tests.report.page_reader import read_page
@@ -51,15 +51,15 @@ def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
     reach = 1.645 * width
     held = norm.cdf(reach - 2.0) - norm.cdf(-reach - 2.0)
     assert check["coverage"] == pytest.approx(held, abs=1e-3)
-    doubted = [name for doubt in self_check_doubts(summary) for name in doubt["parameters"]]
+    doubted = [name for doubt in self_check_doubts(summary) for name in doubt["of"]]
     assert doubted == ([NAME] if held < 0.75 else [])
 
 
 def test_what_no_shift_mends_is_doubtful_and_said_first(result):
     summary = with_check(result, checked(result, [3.0, -3.0]))
     (doubt,) = self_check_doubts(summary)
-    assert doubt["parameters"] == [NAME]
-    after = put_doubts(summary, [doubt])
+    assert doubt["of"] == [NAME]
+    after = put_doubts(summary, [doubt | {"parameters": doubt.pop("of")}])
     assert after.parameters[NAME].verdict == "weak"
     assert after.sampler.status == "tentative"
     assert after.parameters[NAME].reported.status == "doubtful"

@@ -29,6 +29,7 @@ from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State, quantity
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import LEAST_RATIO
 from bayesfric.report.summary.derived_quantities import Groups, leaning, loss_leaning, spread
+from bayesfric.report.summary.parts import off_rows
 from bayesfric.report.summary.record import (
     Message,
     PosteriorRow,
@@ -142,11 +143,26 @@ def find_doubts(
         *_acceleration(fit, summary, determined),
         *correlated(summary, determined),
         *_unchecked(fit, summary),
+        *self_check_doubts(summary),
     ]
     return [
         {"kind": doubt.pop("kind"), "parameters": doubt.pop("of", of_data), **doubt}
         for doubt in doubts
     ]
+
+
+def self_check_doubts(summary: Summary, sure: float = 2.0) -> Iterator[dict[str, Any]]:
+    """Doubt what the data seem to determine and the calibration check does not recover.
+
+    By ``sure`` standard errors of its coverage.
+    """
+    coverage = {
+        name: row["coverage"]
+        for name, row in off_rows(summary, beyond=sure).items()
+        if summary.rows[name].verdict == "data"
+    }
+    if coverage:
+        yield {"kind": "self-check", "of": list(coverage), "coverage": coverage}
 
 
 def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:

@@ -161,17 +161,6 @@ def self_check_part(
     return part | {"rows": rows, "unexplained": float(checked.unexplained.mean())}
 
 
-def self_check_doubts(summary: Summary) -> list[dict[str, Any]]:
-    """Doubt what the data seem to determine and the calibration check does not recover."""
-    coverage = {
-        name: row["coverage"]
-        for name, row in off_rows(summary, beyond=_SURE).items()
-        if summary.rows[name].verdict == "data"
-    }
-    doubt = {"kind": "self-check", "parameters": list(coverage), "coverage": coverage}
-    return [doubt] if coverage else []
-
-
 def off_rows(summary: Summary, beyond: float = 0.0) -> dict[str, dict[str, float]]:
     """Give the rows whose truth is in too few intervals, by so many standard errors.
 
