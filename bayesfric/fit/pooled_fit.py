@@ -59,7 +59,7 @@ class Pooled:
 
     def as_json(self) -> dict[str, Any]:
         """Return JSON data."""
-        return asdict(self)
+        return asdict(self) | {"findings": [finding.as_dict() for finding in self.findings]}
 
 
 def pool(
