@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -43,7 +43,8 @@ _END: Look = {
 }  # fmt: skip
 
 
-class Shown(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Shown:
     """A sampled parameter, or a combination of them, with its draws ``(n,)``."""
 
     row: ResultRow
