@@ -58,7 +58,7 @@ def subsample(
     processing: Processing,
     max_count: int,
 ) -> tuple[Measurement, Signals]:
-    """Limit a recording to ``most`` samples, preprocessed as before.
+    """Limit a recording to ``max_count`` samples, preprocessed as before.
 
     The motion is refined with parameters ``values`` ``(n_parameters,)``.
     """

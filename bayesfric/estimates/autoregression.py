@@ -40,7 +40,7 @@ def runs(follows: Flags) -> tuple[Index, Index]:
 
 
 def ages(follows: Flags, max_count: int) -> Index:
-    """Count the predecessors ``(M,)`` of each value in its run, up to ``most``."""
+    """Count the predecessors ``(M,)`` of each value in its run, up to ``max_count``."""
     begins, length = runs(follows)
     age = np.arange(follows.size + 1) - np.repeat(begins, length)
     return np.asarray(np.minimum(age, max_count))

@@ -196,7 +196,10 @@ class Shooting:
         # slope at the middle of the parabola through the three
         a, b = widths[:, :, None]
         up, down = (np.array(ends) - middle).reshape(2, d + 2, -1)
-        slopes = ((up * b / a - down * a / b) / (b - a)).T
+        both = (up * b / a - down * a / b) / (b - a)
+        # where one side gives no motion, the other's slope
+        one_sided = np.where(np.isfinite(up), up / a, down / b)
+        slopes = np.where(np.isfinite(up) & np.isfinite(down), both, one_sided).T
         return middle, slopes[:, :d], slopes[:, d:]
 
     def follow(
@@ -510,7 +513,7 @@ class OutputError:
         return open_directions(self.chain, self.knowledge, self.observations, values)
 
     def _at_minimum(self, projected: Array, *, max_count: float = 100.0) -> bool:
-        """Whether a full step promises less than ``most`` residual variances.
+        """Whether a full step promises less than ``max_count`` residual variances.
 
         Kinks of the torque and rounding stop a search although one promises some.
         """

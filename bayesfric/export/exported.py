@@ -24,7 +24,9 @@ from bayesfric.export.joint_model import (
     exact_numbers,
     loss_columns,
     number_of,
+    of_recording,
     stacked,
+    thinned,
     torque_along,
     undelayed,
 )
@@ -154,10 +156,11 @@ def _check(form: Format, options: Options) -> None:
 
 def _export(run: Result, form: Format, options: Options) -> Exported:
     joint, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
-    vectors = parameter_vectors(run, motions, options.draws or _DRAWS)
+    few = thinned(motions)
+    vectors = parameter_vectors(run, few, options.draws or _DRAWS)
     recorded = covered(run.model.chain, run.model.observations, vectors.point, open_scale=True)
     load = float(np.abs(recorded[1]).mean())
-    fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), motions, load)
+    fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), few, load)
     # the torque that held the joint at standstill is a lower limit of its static friction
     law_friction = fitted["static_friction"]
     held = max((rest.held for rest in run.summary.fit.rests), default=0.0)
@@ -241,11 +244,11 @@ def lost_terms(
     whole, lost = torque_along(joint, values, motions)[0], []
     for p, value in zip(joint.parameters, vector.tolist(), strict=True):
         row = {"parameters": [p.name], "value": value, "unit": p.unit, "meaning": p.meaning}
-        number = number_of(p.owner, p.quantity)
+        number = number_of(p)
         if form.complete:
-            if omitted(p.row) or _of_recording(p):
+            if omitted(p.row) or of_recording(p):
                 lost.append({"kind": "left out", **row})
-        elif _of_recording(p):
+        elif of_recording(p):
             lost.append({"kind": "left out", **row})
         elif number == "armature" and number not in form.carried:
             lost.append({"kind": "armature", **row})
@@ -264,11 +267,6 @@ def lost_terms(
     return lost
 
 
-def _of_recording(p: Parameter) -> bool:
-    """Whether it is a property of recordings: a delay, or the separate offset of one."""
-    return p.quantity == "delay" or (p.owner == "" and p.name != "offset")
-
-
 def _is_shape(p: Parameter) -> bool:
     """Whether it only shapes another term, which is zero without it or not."""
     return p.row.role == "form" and p.row.default != 0.0
@@ -279,12 +277,12 @@ def _sources(run: Result, form: Format) -> dict[str, list[str]]:
     names: dict[str, list[str]] = {number: [] for number in form.numbers}
     instead = {"armature": "link_inertia", "stiffness_cubic": "stiffness"}
     for p in run.joint.parameters:
-        number = number_of(p.owner, p.quantity)
+        number = number_of(p)
         if number and number not in form.carried:
             number = instead.get(number, "")
         if number:
             names[number].append(p.name)
-        elif not _of_recording(p) and not _is_shape(p):
+        elif not of_recording(p) and not _is_shape(p):
             for loss in (*LOSSES, *(name for name in names if name not in NUMBERS)):
                 names[loss].append(p.name)
         if p.quantity in ("load_drive", "load_back"):

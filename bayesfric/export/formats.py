@@ -89,7 +89,9 @@ class Format:
             return bam_numbers(joint, values, list(motions))
         numbers = simulator_numbers(joint, values, motions, self.carried)
         if "static_friction" in self.carried:
-            numbers["static_friction"] = static_friction(joint, values, load)
+            static = static_friction(joint, values, load)
+            # simulators want no less than what slides
+            numbers["static_friction"] = np.maximum(static, numbers["friction"])
         return numbers
 
     def torque(

@@ -27,6 +27,7 @@ from bayesfric.mechanism import kernels
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.signals import Signals
@@ -123,11 +124,28 @@ def stacked(motions: Sequence[Trajectory]) -> Array:
     return np.concatenate([(m.q, m.qd, m.qdd) for m in motions], axis=1)
 
 
-def number_of(owner: str, quantity: str) -> str:
+def thinned(motions: Sequence[Trajectory], samples: int = 20_000) -> list[Trajectory]:
+    """Keep about so many samples of all motions: all draws are evaluated along them."""
+    step = -(-sum(m.q.size for m in motions) // samples)
+    return [
+        Trajectory(m.q[::step], m.qd[::step], m.qdd[::step], m.time[::step], m.inputs)
+        for m in motions
+    ]
+
+
+def of_recording(p: Parameter) -> bool:
+    """Whether it is a property of recordings: a delay, or the separate offset of one."""
+    return p.quantity == "delay" or (p.owner == "" and p.name != "offset")
+
+
+def number_of(p: Parameter) -> str:
     """Name the number that a parameter is part of, exactly; empty for none."""
-    if owner == "load":
-        return _LOAD_NUMBERS.get(quantity, "")
-    return (_DRIVE_NUMBERS if owner in ("", "drive") else _ELEMENT_NUMBERS).get(quantity, "")
+    if of_recording(p):
+        return ""
+    if p.owner == "load":
+        return _LOAD_NUMBERS.get(p.quantity, "")
+    numbers = _DRIVE_NUMBERS if p.owner in ("", "drive") else _ELEMENT_NUMBERS
+    return numbers.get(p.quantity, "")
 
 
 def exact_numbers(joint: Joint, values: Array) -> Numbers:
@@ -142,7 +160,7 @@ def exact_numbers(joint: Joint, values: Array) -> Numbers:
     owners = [element.name for element in joint.elements]
     numbers["gain"] += joint.ratio / passed[:, 0]
     for p in joint.parameters:
-        number, amount = number_of(p.owner, p.quantity), column[p.name]
+        number, amount = number_of(p), column[p.name]
         if number == "gain":
             numbers[number] *= amount
         elif number == "torque_offset":
@@ -244,5 +262,5 @@ def simulated_torque(joint: Joint, numbers: Numbers, motions: Sequence[Trajector
         offset=True,
         gain=True,
     )
-    columns = [numbers[number_of(p.owner, p.quantity)] for p in plain.parameters]
+    columns = [numbers[number_of(p)] for p in plain.parameters]
     return torque_along(plain, np.stack(columns, axis=1), motions)

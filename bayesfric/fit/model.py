@@ -207,7 +207,8 @@ class Model:
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
         numbers = ["value", "sd", "sd_robust"]
-        frame.loc[np.isinf(frame["sd"]), numbers] = np.nan
+        open_rows = ~frame["determined"].astype(bool) & frame["at_bound"].isna()
+        frame.loc[open_rows, numbers] = np.nan
         first = [*numbers, "unit"]
         frame = frame[[*first, *frame.columns.difference(first, sort=False)]]
         return frame.droplevel("method") if len(methods) == 1 else frame

@@ -59,13 +59,15 @@ def saved_fit(
     if len(chains) % ensembles:  # the draws of a light run are one chain
         ensembles = 1
     draws = chains.reshape(ensembles, -1, *chains.shape[1:])
+    # light runs keep draws alone
+    log_density = groups.get("sample_stats", {}).get("lp", np.full(draws.shape[:-1], np.nan))
     # a walker that never moved has no spread
     moved = np.ptp(draws, axis=2).any(axis=-1)
     posterior = Posterior(
         names=target.names,
         priors=target.priors,
         draws=draws,
-        log_density=groups["sample_stats"]["lp"].reshape(draws.shape[:-1]),
+        log_density=log_density.reshape(draws.shape[:-1]),
         diagnostics=Diagnostics(
             status=cast(Status, sampler.status),
             problems=tuple(sampler.problems),

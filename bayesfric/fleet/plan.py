@@ -49,7 +49,7 @@ COLUMNS = {
 }
 FAILED = "failed"
 # What is no name of a folder on some file system.
-_NO_NAME = re.compile(r'|[. ].*|.*[/\\:*?"<>|\x00-\x1f\x7f].*|.{181,}', re.DOTALL)
+_NO_NAME = re.compile(r'|[. ].*|.*[/\\:*?"<>|\x00-\x1f\x7f].*', re.DOTALL)
 _PLACEHOLDER = re.compile(r"\{\{|\}\}|\{([^{}]*)\}")
 
 
@@ -278,7 +278,7 @@ def units_of(
         where = source if first_row is None else f"{source}, row {number + first_row}"
         text = dict(zip(columns, row, strict=True))
         name = _filled(pattern, text, f"{where}: units.name", source)
-        if _NO_NAME.fullmatch(name):
+        if _NO_NAME.fullmatch(name) or len(name.encode()) > 180:
             raise BadInput(where, f"{name[:60]!r} cannot be the name of a folder", hint)
         if name in units:
             raise BadInput(where, f"{name!r} is there twice", hint)

@@ -128,10 +128,11 @@ def check_dask(options: ClusterOptions) -> None:
         problem = "needs Dask distributed, which is not installed"
         raise BadInput("bayesfric fleet", problem, "pip install 'bayesfric[fleet]'") from None
     try:
-        parse_bytes(options.memory_limit)
+        if parse_bytes(options.memory_limit) < 2**27:  # what imports take
+            raise ValueError
     except (ValueError, OverflowError):
         where = f"cluster.memory_limit = {options.memory_limit!r}"
-        raise BadInput(where, "is not a size", 'write a size such as "2 GiB"') from None
+        raise BadInput(where, "is no size for a worker", 'write a size such as "2 GiB"') from None
 
 
 @contextmanager

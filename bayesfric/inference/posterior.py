@@ -88,7 +88,7 @@ class Posterior:
     seed: int  # later steps derive their streams from it
 
     def flat(self, max_count: int | None = None) -> Array:
-        """Return at most ``most`` draws ``(n, d)``, without walkers that never moved."""
+        """Return at most ``max_count`` draws ``(n, d)``, without walkers that never moved."""
         moved = self.diagnostics.acceptance > 0.0
         draws = self.draws if moved.all() or not moved.any() else self.draws[moved]
         flat = draws.reshape(-1, self.draws.shape[-1])

@@ -158,7 +158,7 @@ def _warm_up(
 def _run_until_converged(
     sampler: _Ensembles, max_count: int, block: int, settings: Sampling, progress: ProgressCallback
 ) -> tuple[bool, float]:
-    """Run until every criterion is met, ``most`` steps are used up or it is hopeless.
+    """Run until every criterion is met, ``max_count`` steps are used up or it is hopeless.
 
     Return whether to stop sampling, and the number of steps needed if that is hopeless, else 0.
     """
@@ -263,7 +263,9 @@ class _Ensembles:
 
     def convergence(self) -> tuple[Array, Array, Array]:
         """Nested R-hat, autocorrelation time and effective sample size, ``(d,)`` each."""
-        chain = self.chain()
+        chain, moved = self.chain(), self.acceptance() > 0.0
+        if 0 < np.sum(~moved) <= 0.01 * moved.size:  # they are left out, and reported
+            chain = chain[:, moved.all(axis=0)]
         tau = autocorrelation_time(chain)
         return nested_rhat(chain), tau, effective_sample_size(chain, tau)
 
@@ -305,11 +307,11 @@ def _posterior(
     draws = target.to_parameters(thinned.reshape(-1, thinned.shape[-1]))[0].reshape(thinned.shape)
     problems = list(_problems(sampler, settings, draws, rhat, tau, ess))
     if gave_up and acceptance.any():
-        needed = float(f"{gave_up:.1g}")
+        needed = f"about {float(f'{gave_up:.1g}'):.0f}" if math.isfinite(gave_up) else "many more"
         slowest = target.names[int(tau.argmax() if np.isfinite(tau).all() else rhat.argmax())]
         problems.insert(
             0,
-            f"stopped after {warmup + sampler.steps} steps, as about {needed:.0f} would be needed "
+            f"stopped after {warmup + sampler.steps} steps, as {needed} would be needed "
             f"and sampling.max_steps is {settings.max_steps}; slowest is {slowest}: give it a "
             "narrower prior, or fix what is known",
         )

@@ -55,6 +55,7 @@ _CHANNEL = {
     word: (channel, rank) for channel in _KINDS for rank, word in enumerate(_WORDS[channel].split())
 }
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
+_FACTOR = re.compile(r"\d\.?\d*[A-Za-zµμ°]+$")  # a number before the unit at a name's end
 _PREFIXES = {"nano", "micro", "milli", "centi", "kilo", "mega"}
 _PARTS = re.compile(r"(?:[mukcµμ]?[AV]|[mukcµμ]?Nm)(?![A-Za-z])|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|°")
 
@@ -123,7 +124,7 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
     for name in ("episode_index", "episode", "episode_id", "run", "trial"):
         with suppress(BadInput):  # there is none, or it holds text
             numbers = table.column(name)
-            if np.ptp(numbers) > 0.0:
+            if numbers.size and np.ptp(numbers) > 0.0:
                 where = {name: float(numbers[0])}
                 return table.only(where), where
     return table, {}
@@ -181,6 +182,8 @@ def named(name: str, written: str = "") -> Named:
         texts += [(known_words[-1], 0, True)]
     units_in = ((_unit_of(channel, t, in_name=named), n) for t, n, named in texts)
     unit, used = next(((unit, n) for unit, n in units_in if unit), ("", 0))
+    if not (written or inside) and _FACTOR.search(text):
+        unit = ""  # of 0.1 deg or 10 mA: the user writes it
     known = " ".join(_WORDS.values()).split()
     label = [w for w in left[: max(len(left) - used, 0)] if w not in known]
     label += [inside] if inside and not _unit_of(channel, inside) else []
@@ -191,6 +194,8 @@ def named(name: str, written: str = "") -> Named:
 def _unit_of(channel: str, text: str, *, in_name: bool = False) -> str:
     """Return a unit as in a configuration; empty where it is not of the channel's kind."""
     text = text.strip().strip("[]()").strip()
+    if in_name and any(map(str.isdecimal, text.split())):
+        return ""  # the joint's number is no factor
     spelt = _SPELT.get(text.lower(), text)
     is_unit = any(map(str.isalpha, spelt))
     by_name = not in_name or text.lower() in _SPELT

@@ -422,7 +422,10 @@ class Recording:
         keys |= {"time": time, "position": position, "torque": torque}
         names = [key for key in (*CHANNELS, "valid") if keys.get(key) is not None]
         # copied, as the caller may change them
-        arrays = [np.array(keys[name]) for name in names]
+        try:
+            arrays = [np.array(keys[name]) for name in names]
+        except ValueError as error:
+            raise BadInput("recording", f"is ragged ({error})", "give (n,) arrays") from None
         source = _checked(Columns, keys | {name: name for name in names}, units, side)
         return cls(source, table=Table("recording", names, arrays.__getitem__))
 
@@ -508,6 +511,8 @@ class Recording:
             channel |= {k: self._header[channel[k]] for k in ("column", "times") if k in channel}
         if "valid" in keys:
             keys["valid"] = self._header[keys["valid"]]
+        if "others" in keys:
+            keys["others"] = tuple(self._header[column] for column in keys["others"])
         return Source(file=file, **keys)
 
     def __repr__(self) -> str:

@@ -206,19 +206,22 @@ class Table:
         stamps: Array,
         flag: str | int | None,
         *,
-        max_count: float = 0.1,
+        max_share: float = 0.1,
         gap: float = 5.0,
     ) -> tuple[Table, Index]:
         """Bring columns to the rows in which all have a value; returns these rows, too.
 
         Rows are those of the column ``first``, at ``stamps`` (n,) of the column ``clock``. A column
-        with other time stamps, or without a value in more than a share ``most`` of the rows, is
+        with other time stamps, or empty in more than a share ``max_share`` of the rows, is
         interpolated by time, across no more than ``gap`` of its median steps: linearly, of a
         ``flag`` the last value before.
         """
         used = ~self.holes(first)
         if not used.any():
             return self, np.arange(used.size)
+        if stamps.size != used.size:
+            problem = f"has {used.size} values, the time column has {stamps.size}"
+            raise BadInput(self.label(first), problem, "give columns of one length")
         base, columns, lacking = used.copy(), dict[str | int, Array](), list[str]()
         for key in keys:
             present, time = ~self.holes(key), stamps
@@ -232,7 +235,7 @@ class Table:
             if time is stamps and not present.all():
                 lacking.append(repr(key))
             steps = np.diff(time[present])
-            by_row = time is stamps and present[base].mean() >= 1.0 - max_count
+            by_row = time is stamps and present[base].mean() >= 1.0 - max_share
             if by_row or not steps.size or not np.all(steps > 0.0):
                 used &= present
                 continue
@@ -262,7 +265,8 @@ class Table:
 
 def as_dates(cells: NDArray[Any]) -> NDArray[np.datetime64] | None:
     """Read cells ``(n,)`` of dates, or of text by ISO 8601; ``None`` if they are others."""
-    text = cells[0] if cells.size and cells.dtype.kind == "O" else None
+    first = cells.ndim == 1 and cells.size and cells.dtype.kind == "O"
+    text = cells[0] if first else None
     if isinstance(text, str) and _ISO_8601.match(text.strip()):
         import pandas as pd
 

@@ -313,3 +313,20 @@ def test_the_plan_of_a_fleet_works_as_it_is(bench, validators):
     # every example can be uncommented, but for what the glob excludes
     full = tomllib.loads(re.sub(r"^# (\w+ = .*)$", r"\1", text.replace("# table", "#"), flags=re.M))
     validators["fleet"].validate(full)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "unit"),
+    [
+        ("q2_rad", "2", "rad"),
+        ("joint_2_position_rad", "2", "rad"),
+        ("vel2_rpm", "2", "rpm"),
+        ("q_0.1deg", None, ""),
+        ("current_10mA", None, ""),
+        ("t_100us", None, ""),
+    ],
+)
+def test_a_number_in_a_name_is_no_factor_of_its_unit(name, joint, unit):
+    column = named(name)
+    assert column.unit == unit
+    assert joint is None or column.joint == joint

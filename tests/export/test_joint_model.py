@@ -295,3 +295,22 @@ def test_an_export_states_the_error_of_its_friction():
     assert 0.0 < friction["left"] < friction["torque"]
     assert friction["fitted"] == ["damping"]
     assert "friction" not in bf.export(run, "c").record["error"]
+
+
+def test_separate_offsets_of_recordings_are_not_the_joints():
+    joint = Joint(
+        elements=(Element("motor", inertia=True, coulomb="symmetric", viscous=True),),
+        load=Load(),
+        offset=True,
+        own_offsets=("a", "b"),
+    )
+    values = dict.fromkeys(joint.names, 5.0) | {"motor.coulomb": 3.0, "motor.viscous": 2.0}
+    exported = simulator_numbers(joint, joint.vector(values)[None], sine_motion(), NUMBERS)
+    assert exported["torque_offset"][0] == (5.0 if "offset" in joint.names else 0.0)
+    np.testing.assert_allclose([exported["friction"][0], exported["damping"][0]], [3.0, 2.0])
+
+
+def test_what_holds_at_standstill_is_no_less_than_what_slides():
+    """Isaac's friction pair, of a load-dependent law whose fit over the motion is larger."""
+    value = numbers(bf.export(finished_posterior("servo-pendulum"), "isaac"))
+    assert value["friction"] >= value["dynamic_friction"] > 0.0

@@ -61,7 +61,7 @@ class Shown:
 
 
 def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | None:
-    """Draw marginal and pairwise posteriors of at most ``most`` quantities, a page wide.
+    """Draw marginal and pairwise posteriors of at most ``max_count`` quantities, a page wide.
 
     What the data leave open is hatched, without an interval, and its pairs are not filled. Where
     they leave parameters open, combinations that they determine come first.

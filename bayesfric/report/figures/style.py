@@ -215,7 +215,7 @@ def remark_below(figure: Figure, words: str) -> None:
 
 
 def few_ticks(axis: Axis, max_count: int, *, inner: bool = False, exponent: int = 0) -> None:
-    """Put at most ``most`` plain numbers on an axis, over the power of ten in the axis' label.
+    """Put at most ``max_count`` plain numbers on an axis, over the power of ten in the axis' label.
 
     ``inner`` ones are away from the ends, for panels that touch.
     """

@@ -93,7 +93,12 @@ class ValueRow(Described):
     determined: bool | None = None
     at_bound: Bound | None = None
     span: Pair | None = None
-    source: str = "reference"  # of a value from elsewhere: the manufacturer's, or from CAD
+
+
+class ReferenceRow(ValueRow):
+    """A value from elsewhere."""
+
+    source: str = "reference"  # such as the manufacturer's, or from CAD
 
 
 class PosteriorRow(Described):
@@ -391,7 +396,7 @@ class Summary(Part):
     fixed: dict[Name, ValueRow] = {}
     derived: dict[Name, PosteriorRow] = {}
     estimates: dict[Method, EstimateTable] = {}
-    references: dict[Name, ValueRow] = {}
+    references: dict[Name, ReferenceRow] = {}
     likelihood: dict[str, Any] = {"method": "input-error"}  # and what its `linearisation` changes
     identifiability: Identifiability = Identifiability()
     noise: Noise = Noise()
