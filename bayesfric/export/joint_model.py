@@ -184,7 +184,6 @@ def simulator_numbers(
     Armature goes into a link's inertia, a spring that stiffens into a plain one.
     """
     numbers, values = exact_numbers(joint, values), undelayed(joint, values)
-    springs = {name: numbers[name].copy() for name in ("stiffness", "stiffness_cubic")}
     numbers |= {name: np.zeros(len(values)) for name in LOSSES if name not in carried}
     if losses := [name for name in LOSSES if name in carried]:
         missing = torque_along(joint, values, motions) - simulated_torque(joint, numbers, motions)
@@ -198,9 +197,9 @@ def simulator_numbers(
     if "armature" not in carried:
         numbers["link_inertia"] = numbers["link_inertia"] + numbers["armature"]
         numbers["armature"] = np.zeros(len(values))
-    if "stiffness_cubic" not in carried and springs["stiffness_cubic"].any():
+    if "stiffness_cubic" not in carried and numbers["stiffness_cubic"].any():
         q = stacked(motions)[0]
-        numbers["stiffness"] = springs["stiffness"] + springs["stiffness_cubic"] * slope(q, q**3)
+        numbers["stiffness"] = numbers["stiffness"] + numbers["stiffness_cubic"] * slope(q, q**3)
         numbers["stiffness_cubic"] = np.zeros(len(values))
     if "stiffness" not in carried:
         numbers["stiffness"] = np.zeros(len(values))
