@@ -35,7 +35,6 @@ from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
     DELAYS,
     FALSE_ALARMS,
-    LEAST_OUTPUTS,
     MAX_EFFECTS,
     MEAN_AS_SPREAD,
     OPEN,
@@ -52,6 +51,7 @@ from bayesfric.diagnostics.statistics import (
     basis_of,
     candidate_groups,
     choose_autocorrelation,
+    least_outputs,
     mean_square,
     project_out,
     score_candidates,
@@ -501,7 +501,7 @@ def regression_of(
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
-        if len(usable) == len(repeated) and outputs >= len(chain.names) + LEAST_OUTPUTS:
+        if len(usable) == len(repeated) and outputs >= len(chain.names) + least_outputs(usable):
             simulated.append((vector, columns_at(vector, usable)))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")

@@ -127,7 +127,10 @@ def _lines(record: Mapping[str, Any], verbose: bool) -> Iterator[str]:
         rate = f" at {settings['sampling_rate']:.4g} Hz" if settings.get("sampling_rate") else ""
         band = f", compared up to {settings['band']:.3g} Hz" if settings.get("band") else ""
         held = f", {recording['held_out']} held out" if recording["held_out"] else ""
-        yield shortened(f"{recording['name']}: {recording['duration']:.4g} s{rate}{band}{held}")
+        size = f"{recording['duration']:.4g} s"
+        if settings.get("steady"):
+            size = f"{settings['n_samples']} points at constant speed"
+        yield shortened(f"{recording['name']}: {size}{rate}{band}{held}")
         if verbose:
             yield from _steps(recording)
     if verbose:
