@@ -114,9 +114,9 @@ def _measure(
     noise = float(observation.settings["noise_seen"])
     noisy_position = recording.velocity is None
     position = _quantise(recording.position, q, noise if noisy_position else 0.0, rng)
-    velocity = None if recording.velocity is None else qd
-    if velocity is not None and not recording.steady:  # a table's speeds are as exact as it says
-        velocity = _quantise(recording.velocity, qd, noise, rng)
+    velocity = recording.velocity
+    if velocity is not None:  # the speeds of steady points have no noise
+        velocity = qd if recording.steady else _quantise(velocity, qd, noise, rng)
     # the replicate's torque passes no filter of the drive
     raw: dict[str, Any] = {"held": False, "torque_lag": None, "velocity_lag": None}
     return replace(recording, position=position, velocity=velocity, torque=torque, **raw)
