@@ -245,7 +245,9 @@ class Regression:
         candidates would explain what it removed. The gains of all are returned, too.
         """
         if not for_noise:
-            residual = self.data.residual_with(extra)
+            # about its mean: the autocorrelation would absorb an offset
+            mean = [i for key, columns in self.groups if key.kind == "offset" for i in columns]
+            residual = self.data.residual_with([*extra, *mean])
             noise, _ = choose_autocorrelation(residual, self.data.layout)
             self.data = replace(self.data, autocorrelation=noise)
         arguments = self.groups, extra, self.scales.transient_width

@@ -14,6 +14,7 @@ from bayesfric.diagnostics.before_a_fit import (
     few_outputs,
     little_explained,
 )
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.fit.model import Model
 from bayesfric.inference.noise import SCALES
 from bayesfric.report.numbers import TEXT
@@ -65,11 +66,13 @@ def check(model: Model | Path | str) -> CheckReport:
 
 
 def _record(model: Model) -> dict[str, Any]:
-    explained, auto = model.explain(), model.config.tables.mechanism.auto
-    # effects that a fit adds are no doubts; what remains is evaluated again then
-    included = explained.applicable if auto else ()
+    included: tuple[Finding, ...] = ()
+    if model.config.tables.mechanism.auto:
+        model, included, explained = model.completed()
+    else:
+        explained = model.explain()
     (totals,) = model.estimates(["least-squares"])
-    findings = [finding.as_dict() for finding in explained.findings if finding not in included]
+    findings = [finding.as_dict() for finding in explained.findings]
     (estimate,) = model.estimates(["input-error"])
     doubts = [
         *against_prior(model.contradicted(dict(estimate.point))),

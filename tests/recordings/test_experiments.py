@@ -171,3 +171,31 @@ def test_steady_points_have_speed_and_torque_alone(wrong):
     keys = {"time": None, "position": None, "torque": SPEEDS, "velocity": SPEEDS, "steady": True}
     with pytest.raises(BadInput):
         bf.Recording.from_arrays(**keys | wrong)
+
+
+# --- what a constant torque is a share of -------------------------------------------------------
+
+
+def test_a_sensor_that_reads_too_much_hints_at_an_offset():
+    rng, time = np.random.default_rng(8), np.arange(2000) * 0.01
+    q, qd, qdd = swing(time, ((0.2, 0.5), (0.6, 0.3), (1.4, 0.1)))
+    load = 8.0 * np.sin(2.0 * np.pi * 0.37 * time)
+    rotor = 0.6 * qdd + 6.0 * qd + 4.0 * np.sign(qd)
+    torque = rotor - load + 0.05 * rng.standard_normal(time.size)
+    recording = bf.Recording.from_arrays(time, q, torque, load_torque=load + 0.6)
+    motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
+    model = bf.Model(bf.Joint([motor], load=bf.Load()), recording)
+    (finding, *_) = model.explain().findings
+    assert finding.hint == "mechanism.offset = true"
+
+
+@pytest.mark.parametrize("level", [0.0, 3.0])
+def test_what_is_left_is_a_share_of_the_torque(level):
+    rng, time = np.random.default_rng(9), np.arange(2000) * 0.01
+    torque = level + 0.3 + 0.1 * 0.7 + 0.02 * rng.standard_normal(time.size)
+    keys = {"sampling": {"max_steps": 200}, "self_check": {"recordings": 0}}
+    recording = bf.Recording.from_arrays(time, 0.7 * time, torque)
+    result = bf.Model(bf.Joint.preset("motor-axis"), recording, **keys).fit()
+    noise = result.summary.fit.residual_rms
+    mean = level + 0.37
+    assert result.summary.verdict.left == pytest.approx(noise / np.hypot(mean, noise), rel=0.01)
