@@ -613,7 +613,8 @@ def designed_recording(
     compile than all else of a fit. ValueError where no inertia resists the torque.
     """
     period, inputs = sample_period(observation), in_place_of(observation, inputs)
-    time, places = period * np.arange(torque.size), np.linspace(-TURN, TURN, 1001)
+    time = period * np.arange(torque.size, dtype=np.float64)
+    places = np.linspace(-TURN, TURN, 1001)
     places += float(np.mean(observation.q[longest_stretch(observation)]))
     still, slow, fast = np.zeros(places.size), 1e-3, fastest(observation)
 
