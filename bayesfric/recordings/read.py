@@ -113,6 +113,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
     source, table, rows = _aligned(source, table)
+    table, rows, stale, warnings = _fresh(source, table, rows)
     table = table.with_ones(len(rows))
     steps, position, velocity = list(table.notes), None, None
     if source.position is not None:
@@ -139,7 +140,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
         checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
-    warnings = [*grid.warnings, *_count_warnings(source, table, chosen)]
+    warnings += [*grid.warnings, *_count_warnings(source, table, chosen)]
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
     if (encoder_step := checks.quantisation(moved[chosen])) is not None:
@@ -171,8 +172,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
     motor_speed = np.zeros(joint.shape) if speed is None else speed
-    if speed is None and (law.back_emf or law.kd):
+    by_speed = channel.sign == "by-speed"
+    if speed is None and (law.back_emf or law.kd or by_speed):
         motor_speed = _differentiated(joint, grid, processing)
+    if by_speed:
+        law = replace(law, command=law.command * np.sign(drive.ratio * motor_speed))
+        torque_step += ", positive where it drives"
     torque = law.drives(joint, motor_speed)
     back_emf = law.back_emf * motor_speed if law.back_emf else None
     if back_emf is not None:
@@ -180,6 +185,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
     off, excluded = _excluded(source, table, grid, warnings)
+    excluded |= grid.linear(stale.astype(np.float64)) > 0.0
     if source.steady:
         excluded |= speed == 0.0
     if excluded.any():
@@ -244,13 +250,33 @@ def _aligned(source: Columns, table: Table) -> tuple[Columns, Table, Index]:
     return source, *table.aligned(columns, first, clock, stamps, source.valid)
 
 
+def _fresh(source: Columns, table: Table, rows: Index) -> tuple[Table, Index, Flags, list[str]]:
+    """Leave rows out that repeat motion and torque, as of a drive that answers more slowly.
+
+    Also flags rows that last longer than usual.
+    """
+    channels = source.channels
+    moved = [channels[key].column for key in ("position", "velocity") if key in channels]
+    drive = [channels[key].column for key in ("torque", "current", "voltage") if key in channels]
+    signals = [table.values(column) for column in (*moved, *drive)]
+    fresh = None
+    if drive and np.ptp(signals[-1]) and not source.steady:
+        fresh = checks.fresh_rows(signals)
+    if fresh is None:
+        return table, rows, np.zeros(rows.size, dtype=np.bool_), []
+    new, stale, hold = fresh
+    text = f"time: values are held over {hold} rows; those that repeat are left out ({len(new)} "
+    text += f"of {len(rows)} remain), and not compared where they last twice as long"
+    return table.part(new, len(rows)), rows[new], stale, [text]
+
+
 def _signed(channel: Channel, table: Table) -> Array:
     """Return a channel's raw numbers with their sign, before any factor, shape (n,)."""
     values = table.column(channel.column)
     if channel.twos_complement is not None:
         full = 2.0**channel.twos_complement
         values = np.where(values >= full / 2, values - full, values)
-    return values * channel.sign
+    return values if channel.sign == "by-speed" else values * channel.sign
 
 
 def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
