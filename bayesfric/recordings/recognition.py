@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -20,7 +20,7 @@ _DRIVES = ("torque", "current", "voltage")
 _WORDS = {
     "time": "time timestamp timestamps t ts stamp clock elapsed seconds millis micros received",
     "position": "position positions pos q qpos angle theta phi encoder enc qm state",
-    "velocity": "velocity velocities vel qd dq qvel qdot speed omega v",
+    "velocity": "velocity velocities vel qd dq qvel qdot thetadot speed omega v",
     "torque": "torque torques tau effort efforts trq moment force load",
     "current": "current currents iq curr cur amps ampere i",
     "voltage": "voltage volts volt pwm duty u",
@@ -41,23 +41,54 @@ _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "current": ("current",),
     "voltage": ("voltage",),
 }
-# Outside brackets a word is a unit of these kinds only: a link, a hand or a foot is no length.
-_NAMED_KINDS = ("time", "angle", "angular_speed", "torque", "current", "voltage")
-# Units in names that pint would read otherwise.
-_SPELT = {
-    **dict.fromkeys(("rads", "radps", "rad s"), "rad/s"),
-    **dict.fromkeys(("degs", "degps", "deg s", "dps"), "deg/s"),
-    **{"m s": "m/s", "mm s": "mm/s", "mm": "mm"},
-    **{"nm": "N m", "n m": "N m", "mnm": "mN m", "a": "A", "ma": "mA", "v": "V"},
-    **{"unm": "uN m", "knm": "kN m", "cnm": "cN m", "ua": "uA", "millis": "ms", "micros": "us"},
+# Symbols in names, in small letters, and the unit that each is, after any prefix.
+_SYMBOLS = {
+    **{"s": "s", "sec": "s", "rad": "rad", "deg": "deg", "rpm": "rpm"},
+    **{"nm": "N m", "n m": "N m", "a": "A", "amp": "A", "v": "V"},
 }
+_PREFIXES = {
+    "": "",
+    "µ": "u",
+    "μ": "u",
+    **{p: p for p in ("n", "u", "m", "c", "d", "da", "h", "k")},
+}
+_ANGLES = ("rad", "radian", "radians", "deg", "degree", "degrees", "turn", "turns", "rev", "revs")
+_POUNDS = [(a, b) for a in ("lb", "lbf", "lbs", "oz", "ozf") for b in ("in", "ft")]
+# Units in names, as names write them: a link, a hand, a foot, a toe or a quad is none.
+_SPELT = {
+    **{f"{p}{word}": f"{x}{unit}" for word, unit in _SYMBOLS.items() for p, x in _PREFIXES.items()},
+    **{f"{p}seconds": f"{p}seconds" for p in ("", "milli", "micro", "nano")},
+    **{word: word for word in ("secs", "second", "rps", "dps", "amps", "ampere", "amperes")},
+    **{word: word for word in (*_ANGLES, "rotations", "volt", "volts", "mm", "lbf", "kgf", "°")},
+    **{"millis": "ms", "micros": "us", "m s": "m/s", "mm s": "mm/s", "nmm": "N mm", "ncm": "N cm"},
+    **{"rads": "rad/s", "radps": "rad/s", "degs": "deg/s", "degps": "deg/s"},
+    **{
+        f"{a}{gap}{b}": f"{a} {b}"
+        for pair in _POUNDS
+        for a, b in (pair, pair[::-1])
+        for gap in (" ", "")
+    },
+    **{f"{a}{gap}cm": f"{a} cm" for a in ("kg", "kgf") for gap in (" ", "")},
+    **{f"{angle} {time}": f"{angle}/{time}" for angle in _ANGLES for time in ("s", "sec", "min")},
+}
+# Words that are units in one language or trade, and another elsewhere.
+_AMBIGUOUS = {"grad", "mil"}
+_WORD = re.compile(r"[a-z]{3,}")
 _CHANNEL = {
     word: (channel, rank) for channel in _KINDS for rank, word in enumerate(_WORDS[channel].split())
 }
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 _FACTOR = re.compile(r"\d\.?\d*[A-Za-zµμ°]+$")  # a number before the unit at a name's end
-_PREFIXES = {"nano", "micro", "milli", "centi", "kilo", "mega"}
-_PARTS = re.compile(r"(?:[mukcµμ]?[AV]|[mukcµμ]?Nm)(?![A-Za-z])|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|°")
+_LONG_PREFIXES = {"nano", "micro", "milli", "centi", "deci", "deca", "hecto", "kilo", "mega"}
+_PARTS = re.compile(
+    r"[a-zµμ]{0,2}(?:Nm|[AV])(?![A-Za-z])|[A-Z]?[a-zµμ]+|[A-Z]+(?![a-z])|\d+|°"
+)
+# Names that write N_m, MNm, rad/s or rad_per_s.
+_WRITTEN = (
+    (re.compile(r"(?<=N)[ _.·*-](?=m(?![a-z]))"), ""),
+    (re.compile(r"[GM](?=Nm)"), "mega "),
+    (re.compile(r"_per_|/(?=s$)"), "_"),
+)
 
 
 @dataclass(frozen=True)
@@ -162,42 +193,55 @@ def named(name: str, written: str = "") -> Named:
     text, inside = name.strip(), ""
     if brackets := _BRACKETS.search(text):
         text, inside = text[: brackets.start()], brackets[1].strip()
-    text = text.rpartition("/")[2].replace("i_q", "iq").replace("I_q", "Iq")
+    for pattern, replacement in _WRITTEN:
+        text = pattern.sub(replacement, text)
+    text = text.replace("i_q", "iq").replace("I_q", "Iq")
     words = [part.lower() for part in _PARTS.findall(text)]
     alone = sum(not word.isdecimal() for word in words) == 1
-    known_words = [
-        w
-        for w in words
+    known = [
+        k
+        for k, w in enumerate(words)
         if w in _CHANNEL
-        and (alone or w not in _LETTERS or _unit_of(_CHANNEL[w][0], " ".join(words[1:])))
+        and (alone or w not in _LETTERS or _unit_in_name(_CHANNEL[w][0], words[1:]))
     ]
-    if not known_words:
+    if not known:
         return Named("", 0, False, inside, "")
-    channel, rank = _CHANNEL[known_words[-1]]
-    left = [w for w in words if w not in _WORDS[channel].split()]
-    # texts that may be the unit, and how many of the remaining words they take
-    texts = [(written, 0, False), (inside, 0, False)]
-    if _PREFIXES.isdisjoint(left):
-        texts += [(" ".join(left[-2:]), 2, True), (" ".join(left[-1:]), 1, True)]
-        texts += [(known_words[-1], 0, True)]
-    units_in = ((_unit_of(channel, t, in_name=named), n) for t, n, named in texts)
-    unit, used = next(((unit, n) for unit, n in units_in if unit), ("", 0))
-    if not (written or inside) and _FACTOR.search(text):
-        unit = ""  # of 0.1 deg or 10 mA: the user writes it
-    known = " ".join(_WORDS.values()).split()
-    label = [w for w in left[: max(len(left) - used, 0)] if w not in known]
+    channel, rank = _CHANNEL[words[known[-1]]]
+    own = _WORDS[channel].split()
+    after = [w for w in words[known[-1] + 1 :] if w not in own]
+    left = [w for w in words[: known[-1]] if w not in own] + after
+    # a unit stands after the word of its signal, or is that word
+    texts = [(" ".join(after[-n:]), n) for n in (2, 1) if len(after) >= n]
+    if not _LONG_PREFIXES.isdisjoint(left):
+        texts = []
+    used = next((n for text, n in texts if _unit_in_name(channel, text.split())), 0)
+    unit = _unit_of(channel, written) or _unit_of(channel, inside)
+    if not unit and not written and not _FACTOR.search(text):
+        unit = _unit_in_name(channel, after[-used:] if used else [words[known[-1]]])
+    all_words = " ".join(_WORDS.values()).split()
+    label = [w for w in left[: len(left) - used] if w not in all_words]
     label += [inside] if inside and not _unit_of(channel, inside) else []
     wanted = any(w in _WORDS["wanted"].split() for w in left)
     return Named(channel, rank, wanted, " ".join(label), unit)
 
 
-def _unit_of(channel: str, text: str, *, in_name: bool = False) -> str:
-    """Return a unit as in a configuration; empty where it is not of the channel's kind."""
+def _unit_in_name(channel: str, words: Sequence[str]) -> str:
+    """Return the unit that some words of a name spell; empty where they spell none of its kind."""
+    return _unit_of(channel, _SPELT.get(" ".join(words), ""))
+
+
+def _unit_of(channel: str, text: str) -> str:
+    """Return a unit as in a configuration; empty where it is not of the channel's kind.
+
+    Also where it is a word for something else, or no joint is measured in it, as in megaseconds.
+    """
     text = text.strip().strip("[]()").strip()
-    if in_name and any(map(str.isdecimal, text.split())):
-        return ""  # the joint's number is no factor
-    spelt = _SPELT.get(text.lower(), text)
-    is_unit = any(map(str.isalpha, spelt))
-    by_name = not in_name or text.lower() in _SPELT
-    kinds = [kind for kind in _KINDS[channel] if by_name or kind in _NAMED_KINDS]
-    return spelt if is_unit and any(units.is_of(spelt, kind) for kind in kinds) else ""
+    if text.lower() in _AMBIGUOUS or (_WORD.fullmatch(text) and text not in _SPELT):
+        return ""
+    short = text if text.startswith("M") else text.lower()
+    for spelt in dict.fromkeys((_SPELT.get(short, text), text)):
+        is_unit = any(map(str.isalpha, spelt)) or "°" in spelt
+        for kind in _KINDS[channel] if is_unit else ():
+            if units.is_of(spelt, kind):
+                return spelt if units.scale([spelt], kind) <= 1e3 else ""
+    return ""
