@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.measurement import Grid, Inputs, Lag, Law, Measurement, Signal, make_grid
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
@@ -102,12 +102,9 @@ def read_recordings(
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
-    source, table, rows = _aligned(source, table)
+    source, table, time = _aligned(source, table, drive)
     position, position_step = joint_signal(source.position, "position", table, drive)
     steps, velocity = [*table.notes, position_step], None
-    time = recorded_time(source, table, len(position))
-    if source.rate is not None:
-        time = (rows - rows[:1]) / source.rate
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         steps.append(step)
@@ -119,6 +116,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     checks.check_moves(position[chosen], table.label(source.position.column), "position")
     checks.check_moves(recorded.command[chosen], table.label(channel.column), kind)
     warnings = [*grid.warnings, *_count_warnings(source, table, chosen)]
+    for key in {"position", "velocity", kind} & source.channels.keys():
+        signed = source.channels[key]
+        checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
     if (encoder_step := checks.quantisation(position[chosen])) is not None:
@@ -185,8 +185,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 # --- columns ------------------------------------------------------------------------------------
 
 
-def _aligned(source: Columns, table: Table) -> tuple[Columns, Table, Index]:
-    """Bring all columns to the rows, and to the time stamps, of the position."""
+def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
+    """Bring all columns, decoded, to the rows and time stamps of the position.
+
+    Returns these stamps, too, in s since the recording's first.
+    """
     first = source.position.column
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
@@ -194,40 +197,89 @@ def _aligned(source: Columns, table: Table) -> tuple[Columns, Table, Index]:
         if other != key:
             problem = f"is taken both for {other} and for {key}"
             raise BadInput(table.label(channel.column), problem, f"name another column for {key}")
+    clock = None
     if source.time is None:
         clocks = dict.fromkeys(c for column in source.columns if (c := table.clock(column)))
         if len(clocks) > 1:
             problem = f"its columns have time stamps of their own ({', '.join(clocks)})"
             raise BadInput(table.where, problem, "give time in place of rate")
-        stamps = np.arange(table.values(first).size, dtype=np.float64)
-        return source, *table.aligned(source.columns, first, None, stamps, source.valid)
-    clock = source.time.column
-    if clock in table.clocks.values():
-        clock = table.clock(first) or clock
-        time = source.time.model_copy(update={"column": clock})
-        source = source.model_copy(update={"time": time})
-    columns, stamps = source.columns, table.values(clock)
-    return source, *table.aligned(columns, first, clock, stamps, source.valid)
+    else:
+        clock = source.time.column
+        if clock in table.clocks.values():
+            clock = table.clock(first) or clock
+            time = source.time.model_copy(update={"column": clock})
+            source = source.model_copy(update={"time": time})
+        table = table.without_repeats(source.columns, clock)
+    source, table = _decoded(source, table, drive)
+    time = recorded_time(source, table, table.values(first if clock is None else clock).size)
+    stamps = time if clock is None else table.stamps(clock)
+    table, rows = table.aligned(source.columns, first, clock, stamps, source.valid)
+    return source, table, time[rows]
+
+
+def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
+    """Decode signs and counters that wrap, and leave out failed reads, before any interpolation."""
+    decoded, notes, update = dict[str | int, Array](), list[str](), dict[str, Channel]()
+    wraps = dict[str, tuple[float, float, float]]()  # median, turn and SI unit of a raw 1
+    for key, channel in source.channels.items():
+        values, turn, factor = table.values(channel.column), None, 1.0
+        if channel.twos_complement is not None:
+            full = 2.0**channel.twos_complement
+            values = np.where(values >= full / 2, values - full, values)
+        if channel.sign_bit is not None:
+            sign = 2.0**channel.sign_bit
+            values = np.where(values >= sign, sign - values, values)
+        if key in ("position", "velocity", "torque", "current", "voltage"):
+            failed = checks.failed_reads(values)
+            if failed.any():
+                values = np.where(failed, np.nan, values)
+                where = (
+                    f"failed reads: column {channel.column!r} is 0 between values far from it in "
+                )
+                notes.append(f"{where}{int(failed.sum())} rows, left out")
+        if isinstance(channel, Position) and not isinstance(channel, Velocity):
+            motion = drive.motor_motion if channel.side == "motor" else drive.motion
+            plain = channel.model_copy(update={"times": None})  # of a target it is the supply
+            factor = _factor(plain, table, POSITION[motion], key)
+            turn = 2.0 * np.pi / factor if motion == "rotary" else None
+        if key in ("time", "position", "target") and np.isfinite(values).any():
+            values, modulus, jumps = checks.unwrapped(values, turn)
+            wraps[key] = float(np.nanmedian(values)), modulus, factor * channel.sign
+            if jumps:
+                what = "a turn" if modulus == turn else f"{modulus:.0f} counts"
+                notes.append(f"{key}: jumps by {what} at {jumps} places, unwrapped")
+        if values is not table.values(channel.column):
+            decoded[channel.column] = values
+            update[key] = channel.model_copy(update={"twos_complement": None, "sign_bit": None})
+    if wraps.keys() >= {"position", "target"} and source.target is not None:
+        # by whole turns near the position, which it was compared with before it was unwrapped
+        (goal, modulus, unit), (middle, other, by) = wraps["target"], wraps["position"]
+        size = max(modulus * abs(unit), other * abs(by))
+        if size and source.target.side == source.position.side:
+            turns = np.round((middle * by - goal * unit) / size)
+            column = source.target.column
+            decoded[column] = decoded.get(column, table.values(column)) + turns * size / unit
+    return source.model_copy(update=update), table.decoded(decoded, notes)
 
 
 def _signed(channel: Channel, table: Table) -> Array:
-    """Return a channel's raw numbers with their sign, before any factor, shape (n,)."""
-    values = table.column(channel.column)
-    if channel.twos_complement is not None:
-        full = 2.0**channel.twos_complement
-        values = np.where(values >= full / 2, values - full, values)
-    return values * channel.sign
+    """Return a channel's decoded numbers with their sign, before any factor, shape (n,)."""
+    return table.column(channel.column) * channel.sign
 
 
-def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
-    """Return a channel in SI units, shape (n,), times constants with units."""
+def _factor(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> float:
+    """Return the SI value of a channel's raw 1, times constants with units."""
     texts = [channel.unit, *constants]
     if channel.times is not None:
         texts.insert(1, channel.times_unit)
     both = " and times_unit" if channel.times is not None else ""
     where = f"{table.label(channel.column)}, unit{both} of {key}"
-    factor = 1.0 if texts == [SI] else units.scale(texts, kind, where)
-    values = _signed(channel, table)
+    return 1.0 if texts == [SI] else units.scale(texts, kind, where)
+
+
+def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
+    """Return a channel in SI units, shape (n,), times constants with units."""
+    factor, values = _factor(channel, table, kind, key, *constants), _signed(channel, table)
     if channel.times is not None:
         values = values * table.column(channel.times)
     return values * factor
@@ -244,21 +296,26 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
     kinds = VELOCITY if isinstance(channel, Velocity) else POSITION
     values = _scaled(channel, table, kinds[motion], key)
     step = f"{key}: of the motor, divided by {drive.ratio:g}" if motor else f"{key}: of the joint"
-    if kinds is POSITION and motion == "rotary":
-        values, jumps = checks.unwrapped(values)
-        if jumps:
-            step += f"; jumps by a turn at {jumps} places, unwrapped"
     return values / drive.ratio if motor else values, step
 
 
 def recorded_time(source: Columns, table: Table, count: int) -> Array:
-    """Return the stamps ``(count,)`` in s since the first."""
+    """Return the stamps ``(count,)`` in s since the first, NaN in holes."""
     if source.time is None:
         assert source.rate is not None
-        return np.arange(count) / source.rate
-    time = _scaled(source.time, table, "time", "time")
-    table.check_order(time, source.time.column)
-    return np.asarray(time - time[0]) if count else time
+        rows = np.arange(count) if table.rows is None else table.rows - table.rows[0]
+        # rows of several signals may take turns
+        stride = float(np.median(np.diff(rows))) if count > 1 else 1.0
+        if np.any(rows % stride):
+            problem = "the rows that where selects are not evenly spaced, and rate says no more"
+            raise BadInput(table.where, problem, "give time in place of rate")
+        return np.asarray(rows / stride / source.rate)
+    column = source.time.column
+    if table.is_dated(column) and source.time.unit not in ("s", SI):
+        problem = f"holds dates, which are read in s, and its unit is {source.time.unit!r}"
+        raise BadInput(table.label(column), problem, 'write unit = "s"')
+    time = table.stamps(column) * _factor(source.time, table, "time", "time")
+    return np.asarray(time - time[np.isfinite(time)][:1]) if np.isfinite(time).any() else time
 
 
 def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:

@@ -13,7 +13,9 @@ import numpy as np
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.tables import Table, as_dates
+from bayesfric.recordings.checks import unwrapped
+from bayesfric.recordings.measurement import implausible
+from bayesfric.recordings.tables import Table
 
 _DRIVES = ("torque", "current", "voltage")
 # Words for each channel, the most specific first.
@@ -80,9 +82,7 @@ _CHANNEL = {
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 _FACTOR = re.compile(r"\d\.?\d*[A-Za-zµμ°]+$")  # a number before the unit at a name's end
 _LONG_PREFIXES = {"nano", "micro", "milli", "centi", "deci", "deca", "hecto", "kilo", "mega"}
-_PARTS = re.compile(
-    r"[a-zµμ]{0,2}(?:Nm|[AV])(?![A-Za-z])|[A-Z]?[a-zµμ]+|[A-Z]+(?![a-z])|\d+|°"
-)
+_PARTS = re.compile(r"[a-zµμ]{0,2}(?:Nm|[AV])(?![A-Za-z])|[A-Z]?[a-zµμ]+|[A-Z]+(?![a-z])|\d+|°")
 # Names that write N_m, MNm, rad/s or rad_per_s.
 _WRITTEN = (
     (re.compile(r"(?<=N)[ _.·*-](?=m(?![a-z]))"), ""),
@@ -100,6 +100,7 @@ class Log:
     joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
     where: dict[str, float] = field(default_factory=dict)  # rows of the first recording of several
+    problems: tuple[str, ...] = ()  # what is wrong with a column, or may be another's
 
 
 class Named(NamedTuple):
@@ -115,7 +116,10 @@ class Named(NamedTuple):
 def recognise(table: Table, joint: str | None = None) -> Log:
     """Choose the columns of one joint, which may be named, by their names."""
     table, where = _one_episode(table)
-    signals = sorted((s for s in _signals(table) if not s[2].wanted), key=lambda s: s[2].rank)
+    problems = dict[str, str]()
+    signals = sorted(
+        (s for s in _signals(table, problems) if not s[2].wanted), key=lambda s: s[2].rank
+    )
     ranges = dict[str, float]()
     for _, values, name in signals:
         if name.channel == "position":
@@ -131,23 +135,88 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
+    label = label or ""
     chosen: dict[str, tuple[str, str]] = {}
     for channel in ("time", "position", "velocity", *_DRIVES):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
             continue
-        of = [
-            (column, name)
-            for column, values, name in signals
-            if name.channel == channel
-            and (channel != "time" or np.all(np.diff(values[np.isfinite(values)]) > 0.0))
-        ]
-        if of:
-            # the joint's, or else one without a joint
-            column, name = min(of, key=lambda s: (s[1].joint != label, s[1].joint != ""))
+        named_so = [(c, values, name) for c, values, name in signals if name.channel == channel]
+        if channel == "time":
+            named_so = _clocks(named_so)
+        fitting = _of_joint(named_so, label)
+        if fitting:
+            column, _, name = fitting[0]
             chosen[channel] = column, name.unit
+        elif named_so:
+            listed = ", ".join(repr(column) for column, _, _ in named_so[:20])
+            problems[channel] = f"{channel}: {listed} are not of joint {label!r}"
+        alike = [
+            c for c, _, name in fitting[1:] if channel != "time" and name[1:] == fitting[0][2][1:]
+        ]
+        if alike:
+            problems[channel] = f"{channel}: {', '.join(map(repr, alike[:20]))} may be it as well"
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
-    # a column that names no joint is none to choose
-    return Log(chosen, columns, label or "", tuple(filter(None, joints)) * (len(joints) > 1), where)
+    if "time" in chosen:
+        chosen["time"] = _checked_time(table, *chosen["time"], chosen, problems)
+    kept = {*_KINDS, *(column for column, _ in chosen.values())}
+    return Log(
+        chosen,
+        columns,
+        label,
+        # a column that names no joint is none to choose
+        tuple(filter(None, joints)) * (len(joints) > 1),
+        where,
+        tuple(text for of, text in problems.items() if of in kept),
+    )
+
+
+Signals = list[tuple[str, Array, "Named"]]
+
+
+def _clocks(signals: Signals) -> Signals:
+    """Sort the columns named as time, those first that never go back; none that stands still."""
+    back = [
+        (bool(np.any(np.diff(unwrapped(values)[0][np.isfinite(values)]) < 0.0)), k)
+        for k, (_, values, _) in enumerate(signals)
+        if np.nanmax(values) > np.nanmin(values)
+    ]
+    return [signals[k] for _, k in sorted(back)]
+
+
+def _of_joint(signals: Signals, label: str) -> Signals:
+    """Select the columns of a joint, else those of none, or all, if no two differ in it."""
+    for joint in (label, ""):
+        if matching := [s for s in signals if s[2].joint == joint]:
+            return matching
+    same = len({name.joint for _, _, name in signals}) == 1
+    return signals if same and not label else []
+
+
+def _checked_time(
+    table: Table,
+    column: str,
+    unit: str,
+    chosen: dict[str, tuple[str, str]],
+    problems: dict[str, str],
+) -> tuple[str, str]:
+    """Return time's column and its unit, open where no joint is recorded so; says what is wrong."""
+    if column in problems:
+        return column, unit
+    try:
+        once = table.without_repeats([name for name, _ in chosen.values()], column)
+        time = once.decoded({column: unwrapped(once.values(column))[0]}, ()).stamps(column)
+    except BadInput as error:
+        problems[column] = str(error)
+        return column, unit
+    time = time[np.isfinite(time)]
+    scale = units.scale([unit or "s"], "time")
+    period, span = scale * float(np.median(np.diff(time))), scale * float(time[-1] - time[0])
+    if unit and implausible(period, span):
+        problems[column] = (
+            f"time: in {unit} its rows are {period:.3g} s apart, of no joint's motion"
+        )
+        return column, ""
+    return column, unit
 
 
 def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
@@ -161,31 +230,36 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
     return table, {}
 
 
-def _signals(table: Table) -> Iterator[tuple[str, Array, Named]]:
+def _signals(table: Table, problems: dict[str, str]) -> Iterator[tuple[str, Array, Named]]:
     """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
         if not named(name).channel:
             continue
-        with suppress(BadInput):
-            if named(name).channel == "time" and as_dates(table.cells(name)) is not None:
+        try:
+            if named(name).channel == "time" and table.is_dated(name):
                 written = "s"
-            yield name, _numbers(table, name), named(name, written)
+            yield name, _numbers(table, name, problems), named(name, written)
             continue
+        except BadInput as error:
+            problems[name] = str(error)
         # a message that names its joints may have them in any order
         if any(other.startswith(f"{name}[") for other in table.names):
             continue
         with suppress(BadInput):  # the fourth signal of three, which ends a column of several
             for key in (f"{name}[{k}]" for k in range(64)):
-                yield key, _numbers(table, key), named(key, written)
+                yield key, _numbers(table, key, problems), named(key, written)
 
 
-def _numbers(table: Table, key: str) -> Array:
-    """Return a column ``(n,)``, NaN where it has holes; other cells must be numbers."""
-    rows = np.flatnonzero(~table.holes(key))
-    if rows.size < 2:
-        raise BadInput(table.label(key), "is empty", "check the export")
-    table.at(rows, table.cells(key).shape[0]).column(key)
-    return table.values(key)
+def _numbers(table: Table, key: str, problems: dict[str, str]) -> Array:
+    """Return a column ``(n,)``, NaN where it has no number, and say which cell holds another."""
+    values, rows = table.values(key), np.flatnonzero(~table.holes(key))
+    if np.isfinite(values).sum() < max(2.0, 0.5 * rows.size):
+        raise BadInput(table.label(key), "holds no numbers", "check the export")
+    try:
+        table.at(rows, values.size).column(key)
+    except BadInput as error:
+        problems[key] = str(error)
+    return values
 
 
 def named(name: str, written: str = "") -> Named:

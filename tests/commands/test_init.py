@@ -249,6 +249,7 @@ def test_real_logs(bench, real_data, file, columns, units):
         has(text, f'{{ column = "{column}", ')
     assert bench.run("check", "draft.toml").code == 2
     if units is not None:
+        text = text.replace('column = "load"', 'column = "load", twos_complement = 16')
         check_completed(bench, text, **units)
 
 
