@@ -207,8 +207,8 @@ def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
         clock = source.time.column
         if clock in table.clocks.values():
             clock = table.clock(first) or clock
-            time = source.time.model_copy(update={"column": clock})
-            source = source.model_copy(update={"time": time})
+            own = source.time.model_copy(update={"column": clock})
+            source = source.model_copy(update={"time": own})
         table = table.without_repeats(source.columns, clock)
     source, table = _decoded(source, table, drive)
     time = recorded_time(source, table, table.values(first if clock is None else clock).size)

@@ -21,7 +21,7 @@ _DRIVES = ("torque", "current", "voltage")
 # Words for each channel, the most specific first.
 _WORDS = {
     "time": "time timestamp timestamps t ts stamp clock elapsed seconds millis micros received",
-    "position": "position positions pos q qpos angle theta phi encoder enc qm state",
+    "position": "position positions pos q qpos angle theta phi encoder enc qm state counts ticks",
     "velocity": "velocity velocities vel qd dq qvel qdot thetadot speed omega v",
     "torque": "torque torques tau effort efforts trq moment force load",
     "current": "current currents iq curr cur amps ampere i",
@@ -33,8 +33,8 @@ _WORDS = {
     "": "joint joints motor observation observations obs header in the output axis data value "
     "values signal log electrical control actual measured meas estimate est feedback",
 }
-# Letters that count only as the whole name.
-_LETTERS = {"t", "v", "i", "u"}
+# Words that count only as the whole name.
+_LETTERS = {"t", "v", "i", "u", "counts", "ticks"}
 _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "time": ("time",),
     "position": ("angle", "length"),
@@ -89,6 +89,12 @@ _WRITTEN = (
     (re.compile(r"[GM](?=Nm)"), "mega "),
     (re.compile(r"_per_|/(?=s$)"), "_"),
 )
+# Objects of a drive by CiA 402, and what names say of them.
+_OBJECTS = {
+    **{"6064": "position", "606C": "velocity", "6077": "torque", "6078": "current"},
+    **{"607A": "target_position", "60FF": "target_velocity", "6071": "target_torque"},
+}
+_OBJECT = re.compile(rf"(?i)(?<![0-9a-z])(?:0x)?({'|'.join(_OBJECTS)})h?(?![0-9a-z])")
 
 
 @dataclass(frozen=True)
@@ -267,6 +273,7 @@ def named(name: str, written: str = "") -> Named:
     text, inside = name.strip(), ""
     if brackets := _BRACKETS.search(text):
         text, inside = text[: brackets.start()], brackets[1].strip()
+    text = _OBJECT.sub(lambda index: _OBJECTS[index[1].upper()], text)
     for pattern, replacement in _WRITTEN:
         text = pattern.sub(replacement, text)
     text = text.replace("i_q", "iq").replace("I_q", "Iq")

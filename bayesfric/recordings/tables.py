@@ -195,8 +195,9 @@ class Table:
     def stamps(self, key: str | int) -> Array:
         """Return time stamps ``(n,)``, NaN in holes; the others must increase."""
         times, rows = self.values(key), np.flatnonzero(~self.holes(key))
-        filled = self.at(rows, times.size)
-        time = filled.column(key) if rows.size < times.size else self.column(key)
+        time, filled = times[rows], self.at(rows, times.size)
+        if not np.isfinite(time).all():
+            filled.column(key)  # names the cell
         wrong = np.diff(time) <= 0
         if not wrong.any():
             return times

@@ -113,7 +113,7 @@ def test_bad_arguments(bench, arguments, parts):
         ("torque_milli_Nm", "torque", "milli nm", ""),
         ("link_position", "position", "link", ""),
         ("foot_angle", "position", "foot", ""),
-        ("velocity_actual_606C", "velocity", "606 c", ""),
+        ("velocity_actual_606C", "velocity", "", ""),
     ],
 )
 def test_names_of_columns(name, channel, joint, unit):
