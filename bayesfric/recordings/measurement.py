@@ -119,6 +119,14 @@ def implausible(period: float, span: float) -> bool:
     return not (2e-5 <= period <= 0.2 and 0.1 <= span <= 86400.0)
 
 
+def steady_grid(count: int) -> Grid:
+    """Make a grid of points at constant speeds, each a segment of its own, by their number."""
+    number = np.arange(count, dtype=np.float64)
+    segments = tuple((k, k + 1) for k in range(count))
+    step = f"time: none; {count} points at constant speed, without an acceleration"
+    return Grid(number, segments, number, segments, 1.0, False, (step,), ())
+
+
 def _evenly(stamps: Array, period: float) -> Array:
     # the tolerance keeps a last stamp that lies on the grid but for rounding
     n = int(np.floor((stamps[-1] - stamps[0]) / period + 1e-9)) + 1
@@ -236,6 +244,14 @@ class Law:
         return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)
 
 
+def integral(rate: Array, segments: Segments, period: float) -> Array:
+    """Integrate a signal ``(n,)`` by trapezoids, from 0 in every segment."""
+    out = np.zeros_like(rate)
+    for a, b in segments:
+        out[a + 1 : b] = np.cumsum(0.5 * period * (rate[a : b - 1] + rate[a + 1 : b]))
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """One recorded file or table in memory in SI units; arrays have the shape (n,)."""
@@ -265,6 +281,8 @@ class Measurement:
     widest_band: float | None = None  # Hz, of a usable acceleration, where a model determines it
     late: float = 0.0  # delay of the position, s, where a model determines it; trimmed at both ends
     law: Law | None = None  # of the drive; None for a simulated replicate
+    integrated: bool = False  # whether the position is the integral of the velocity
+    steady: bool = False  # whether every sample is a segment of its own, at constant speed
 
     def part(self, samples: Index | slice, segments: Segments) -> Measurement:
         """Select samples, which then make up ``segments``."""

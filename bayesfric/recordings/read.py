@@ -17,7 +17,17 @@ import numpy as np
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.measurement import Grid, Inputs, Lag, Law, Measurement, Signal, make_grid
+from bayesfric.recordings.measurement import (
+    Grid,
+    Inputs,
+    Lag,
+    Law,
+    Measurement,
+    Signal,
+    integral,
+    make_grid,
+    steady_grid,
+)
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
     SI,
@@ -48,6 +58,8 @@ _REQUIRED: dict[units.Kind, tuple[str, ...]] = {
     "voltage": ("torque_constant", "resistance"),
     "share": ("torque_constant", "resistance", "times"),  # of a supply voltage
 }
+# Channels of a bus, which may fail to be read, or whose sign may be a bit.
+_MEASURED = ("position", "velocity", "torque", "current", "voltage")
 
 
 @dataclass(frozen=True)
@@ -103,32 +115,52 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
     source, table, time = _aligned(source, table, drive)
-    position, position_step = joint_signal(source.position, "position", table, drive)
-    steps, velocity = [*table.notes, position_step], None
+    table = table.with_ones(len(time))
+    steps, position, velocity = list(table.notes), None, None
+    if source.position is not None:
+        position, step = joint_signal(source.position, "position", table, drive)
+        steps.append(step)
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         steps.append(step)
+    moved, signal = (velocity, "velocity") if position is None else (position, "position")
+    assert moved is not None
     channel, kind, recorded, torque_step = _recorded_torque(source, table, drive)
 
     # checks
     chosen = slice(*chosen_rows(source, time, table.where))
-    grid = make_grid(time, (chosen.start, chosen.stop), table.where)
-    checks.check_moves(position[chosen], table.label(source.position.column), "position")
-    checks.check_moves(recorded.command[chosen], table.label(channel.column), kind)
+    where = table.where
+    grid = (
+        steady_grid(len(time))
+        if source.steady
+        else make_grid(time, (chosen.start, chosen.stop), where)
+    )
+    checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
+    if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
+        checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
     warnings = [*grid.warnings, *_count_warnings(source, table, chosen)]
-    for key in {"position", "velocity", kind} & source.channels.keys():
-        signed = source.channels[key]
-        checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
+    for key, signed in source.channels.items():
+        if key in _MEASURED and not source.steady:
+            checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
-    if (encoder_step := checks.quantisation(position[chosen])) is not None:
-        unit = "rad" if drive.motion == "rotary" else "m"
-        steps.append(f"position: read in steps of {encoder_step:.3g} {unit} at the joint")
+    if (encoder_step := checks.quantisation(moved[chosen])) is not None:
+        unit = ("rad" if drive.motion == "rotary" else "m") + "/s" * (position is None)
+        steps.append(f"{signal}: read in steps of {encoder_step:.3g} {unit} at the joint")
     steps += grid.steps
 
     # arrays
-    joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
+    if position is None:
+        assert speed is not None
+        joint = integral(speed, grid.segments, grid.period)
+        steps += (
+            []
+            if source.steady
+            else ["position: none; the velocity integrated, from 0 in every segment"]
+        )
+    else:
+        joint = grid.smooth(position)
     law = recorded.on(grid)
     if channel.sampled != "instant":
         # position and speed pass the same averaging as the torque
@@ -150,6 +182,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
     off, excluded = _excluded(source, table, grid, warnings)
+    if source.steady:
+        excluded |= speed == 0.0
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     torque_constant = None
@@ -178,6 +212,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         motion=drive.motion,
         torque_constant=torque_constant,
         law=replace(played, off=off),
+        integrated=position is None,
+        steady=source.steady,
         ratio=drive.ratio,
     )
 
@@ -186,11 +222,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
 
 def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
-    """Bring all columns, decoded, to the rows and time stamps of the position.
+    """Bring all columns, decoded, to the rows and time stamps of the motion.
 
     Returns these stamps, too, in s since the recording's first.
     """
-    first = source.position.column
+    first = source.motion.column
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
         other = channel_at.setdefault(table.place(channel.column), key)
@@ -229,7 +265,7 @@ def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
         if channel.sign_bit is not None:
             sign = 2.0**channel.sign_bit
             values = np.where(values >= sign, sign - values, values)
-        if key in ("position", "velocity", "torque", "current", "voltage"):
+        if key in _MEASURED and not source.steady:
             failed = checks.failed_reads(values)
             if failed.any():
                 values = np.where(failed, np.nan, values)
@@ -251,7 +287,7 @@ def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
         if values is not table.values(channel.column):
             decoded[channel.column] = values
             update[key] = channel.model_copy(update={"twos_complement": None, "sign_bit": None})
-    if wraps.keys() >= {"position", "target"} and source.target is not None:
+    if wraps.keys() >= {"position", "target"} and source.position and source.target:
         # by whole turns near the position, which it was compared with before it was unwrapped
         (goal, modulus, unit), (middle, other, by) = wraps["target"], wraps["position"]
         size = max(modulus * abs(unit), other * abs(by))
@@ -268,13 +304,18 @@ def _signed(channel: Channel, table: Table) -> Array:
 
 
 def _factor(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> float:
-    """Return the SI value of a channel's raw 1, times constants with units."""
-    texts = [channel.unit, *constants]
+    """Return the SI value of a channel's raw 1, or of its known value, times constants."""
+    value = channel.value if isinstance(channel, Effort) else None
+    if value == 0.0:  # in any unit
+        return 0.0
+    texts = [channel.unit if value is None else str(value), *constants]
     if channel.times is not None:
         texts.insert(1, channel.times_unit)
     both = " and times_unit" if channel.times is not None else ""
     where = f"{table.label(channel.column)}, unit{both} of {key}"
-    return 1.0 if texts == [SI] else units.scale(texts, kind, where)
+    if texts == [SI]:
+        return 1.0
+    return units.scale(texts, kind, where, positive=value is None)
 
 
 def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
@@ -302,14 +343,13 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
 def recorded_time(source: Columns, table: Table, count: int) -> Array:
     """Return the stamps ``(count,)`` in s since the first, NaN in holes."""
     if source.time is None:
-        assert source.rate is not None
         rows = np.arange(count) if table.rows is None else table.rows - table.rows[0]
         # rows of several signals may take turns
         stride = float(np.median(np.diff(rows))) if count > 1 else 1.0
         if np.any(rows % stride):
             problem = "the rows that where selects are not evenly spaced, and rate says no more"
             raise BadInput(table.where, problem, "give time in place of rate")
-        return np.asarray(rows / stride / source.rate)
+        return np.asarray(rows / stride / (source.rate or 1.0))
     column = source.time.column
     if table.is_dated(column) and source.time.unit not in ("s", SI):
         problem = f"holds dates, which are read in s, and its unit is {source.time.unit!r}"
@@ -407,7 +447,7 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
     if (channel := source.torque) is not None:
         constant = [] if channel.constant is None else [channel.constant]
         torque = _scaled(channel, table, kind, kind, *constant)
-        step = f"{kind}: as measured"
+        step = f"{kind}: {'as measured' if channel.value is None else channel.value}"
         if constant:
             step = f"{kind}: the signal in {channel.unit} times {channel.constant}"
             if constant[0].endswith("/V"):

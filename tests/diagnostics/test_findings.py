@@ -239,5 +239,5 @@ def test_waves_belong_to_the_shaft_that_turns_so_often(turns, side):
 def test_recordings_need_enough_outputs(outputs, reason):
     chain = SimpleNamespace(names=("a", "b", "c"))
     sizes = LEAST_OUTPUTS, outputs
-    observations = [SimpleNamespace(measured=np.zeros(n)) for n in sizes]
+    observations = [SimpleNamespace(measured=np.zeros(n), steady=False) for n in sizes]
     assert too_few_outputs(chain, observations) == reason
