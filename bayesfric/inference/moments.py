@@ -424,18 +424,18 @@ class FastMoments:
         """Compute moments at parameter vectors ``(n, n_parameters)``, SI units."""
         flat = np.empty((len(values), len(self._recordings), n_entries(self.order)))
         with np.errstate(all="ignore"):
-            c = self._linear.coefficients(values)
-            distance = self._region.distance(c.leg)
-            inside = c.inside & (distance <= self.radius)
+            coefficients, leg, lambda2, inside = self._linear.coefficients(values)
+            distance = self._region.distance(leg)
+            inside = inside & (distance <= self.radius)
             # tolerance at the border, where the sign does not matter
             reached = distance * (1.0 + 1e-9) + 1e-12
             # one memory layout, to compile once
-            leg, lambda2 = np.ascontiguousarray(c.leg), np.ascontiguousarray(c.lambda2)
+            leg, lambda2 = np.ascontiguousarray(leg), np.ascontiguousarray(lambda2)
             for i, m in enumerate(self._recordings):
                 n_candidates = np.searchsorted(m.ratios, reached, side="right")
                 n_candidates[~inside] = 0
                 flat[:, i] = _moments(
-                    m, c.all @ m.to_columns, leg, lambda2, n_candidates, self.order
+                    m, coefficients @ m.to_columns, leg, lambda2, n_candidates, self.order
                 )
         slow = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
         if slow.any():
@@ -460,7 +460,7 @@ def fast_moments(
     # a plain evaluation takes about twenty operations a sample
     if linear.shapes and linear.size**2 > 20 * sum(o.q.size for o in observations):
         return None
-    region = SignRegion.around(linear.coefficients(draws).leg, linear.typical_size())
+    region = SignRegion.around(linear.coefficients(draws)[1], linear.typical_size())
     if region is None:
         return None
     plain = PlainMoments(chain, observations, order) if plain is None else plain

@@ -223,8 +223,8 @@ def test_facts_of_a_recording():
     )
     at = o.filter.centres
     (facts,) = coverage_of(CHAIN, [o], VALUES)
-    assert facts.load_drives["gearbox"] == np.mean(((leg + bearing) * o.qd)[at] < 0)
-    assert facts.turn == np.ptp(o.q[at])
+    assert facts["load_drives"]["gearbox"] == np.mean(((leg + bearing) * o.qd)[at] < 0)
+    assert facts["turn"] == np.ptp(o.q[at])
 
 
 @pytest.mark.parametrize("sds", [0.5, 5.0])

@@ -225,7 +225,7 @@ class Case:
     def size(self, values):
         """Root sum of squares of the measured torque and of each column's torque."""
         linear = linear_torque(self.chain, self.observations, self.draws)
-        coefficients = linear.coefficients(values).all
+        coefficients = linear.coefficients(values)[0]
         out = []
         for o in self.observations:
             psi1, psi2 = linear.columns(o, 0, o.q.size)
@@ -364,7 +364,7 @@ def test_signs_do_differ_where_it_is_tried(cases):
     """The tests above would show little if no draw crossed the kink of any sample."""
     case = cases["knee-1-0"]
     linear = linear_torque(case.chain, case.observations)
-    leg = linear.coefficients(case.draws).leg
+    leg = linear.coefficients(case.draws)[1]
     _, psi2 = linear.columns(case.observations[0], 0, case.observations[0].q.size)
     signs = np.sign(leg @ psi2)
     changing = np.abs(signs.sum(axis=0)) < len(case.draws)
