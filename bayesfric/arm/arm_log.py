@@ -175,6 +175,8 @@ class ArmLog:
     def _position(self, source: Source, joint: UrdfJoint) -> Array:
         drive = Drive(1.0, joint.motion, joint.motion)
         try:
+            if source.position is None:
+                raise BadInput(self.table.where, "has no position", "name its column")
             return joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
             hint = f"{error.hint}; or give its constant position: joints.{joint.name}.held = 0.0"

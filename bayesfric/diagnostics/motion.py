@@ -38,7 +38,8 @@ class Scales:
 
     speed: float  # 95 % quantile of its absolute value, rad/s or m/s
     reach: float  # twice the median distance from the last reversal, rad or m
-    # rms of the measured torque, and of the model's terms other than inertia, gravity and springs
+    # rms of the measured torque (the inertia's, if the motor is off), and of the model's terms
+    # other than inertia, gravity and springs
     torque: float
     lost: float
     duration: float  # s, of the longest recording
@@ -80,7 +81,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> S
     return Scales(
         speed=float(np.quantile(np.abs(of_outputs([o.qd for o in observations])), 0.95)),
         reach=2.0 * float(np.median(of_outputs(away))),
-        torque=rms(np.concatenate([o.measured for o in observations])),
+        torque=rms(np.concatenate([o.measured for o in observations])) or rms(moving),
         lost=rms(of_outputs(lost)),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles={
@@ -122,7 +123,9 @@ class MotionSignals:
 
     @cached_property
     def torque(self) -> Array:
-        """Motor torque of the model, N m or N."""
+        """Motor torque of the model, N m or N; 0 where the motor is off."""
+        if not self.recording.torque.any():
+            return np.zeros_like(self.o.q)
         return _torque(self.chain, self.values, self.o)
 
     @cached_property
@@ -176,6 +179,8 @@ class MotionSignals:
         band have at most 0.05 above it, others at least 0.4.
         """
         segments, fs = self.recording.segments, 1.0 / self.recording.period
+        if not np.ptp(self.recording.torque):  # it is known, not recorded
+            return 0.0
         signals = np.stack([self.o.torque, self.torque - self.carried])
         silent = 0.0
         for f in self.cutoffs:

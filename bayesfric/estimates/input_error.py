@@ -380,7 +380,7 @@ def _trial_shapes(problem: TorqueProblem) -> dict[int, Array]:
     shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
     if not shaping:
         return {}
-    scales = typical_sizes(joint, problem.observations)
+    scales = typical_sizes(joint, problem.observations, problem.knowledge.fixed)
     trials = {}
     for k, p, tries in shaping:
         values = np.array(tries(sizes_at(joint, p.owner, scales)))

@@ -5,7 +5,7 @@ With them, starts of a search and the typical sizes that default priors are scal
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -22,6 +22,7 @@ from bayesfric.estimates.torque import (
     minimum_norm,
     places,
 )
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, TypicalSizes, effort_words
@@ -93,7 +94,8 @@ def least_squares(
     )
     values = []
     for i, name in enumerate(names):
-        sds = information.sds(np.eye(len(names))[i])
+        # torques that balance without the motor determine only ratios
+        sds = information.sds(np.eye(len(names))[i]) if torque.any() else (np.inf, np.inf)
         description = projection.labels[i], *projection.describe(name)
         values.append(EstimatedValue(*description, float(solution[i]), *sds))
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
@@ -269,9 +271,16 @@ def totals_regressors(joint: Joint, observations: Sequence[Signals]) -> tuple[li
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))
 
 
-def typical_sizes(joint: Joint, observations: Sequence[Signals]) -> TypicalSizes:
-    """Take the scales from all recordings together."""
+def typical_sizes(
+    joint: Joint, observations: Sequence[Signals], known: Mapping[str, float]
+) -> TypicalSizes:
+    """Take the scales from all recordings together, with the ``known`` parameters.
+
+    Where the motor is off, the known terms' torque is in place of the motor's.
+    """
     torque = np.concatenate([o.measured for o in observations])
+    if not torque.any():
+        torque = known_torque(joint, observations, known)
     # only where outputs are: an excluded glitch must not set a scale
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
     acceleration = np.concatenate([o.acceleration for o in observations])
@@ -290,6 +299,20 @@ def typical_sizes(joint: Joint, observations: Sequence[Signals]) -> TypicalSizes
         position_step=min(o.position_step for o in observations),
         columns={joint.names[c.index]: _rms_of(c, observations) for c in joint.carried},
     )
+
+
+def known_torque(
+    joint: Joint, observations: Sequence[Signals], known: Mapping[str, float]
+) -> Array:
+    """Compute the torque ``(n_outputs,)`` of known parameters, masses and load torques alone."""
+    undelayed = replace(joint, delay=False, own_offsets=())
+    values = np.array([known.get(name, 0.0) for name in undelayed.names])
+    return np.concatenate([
+        o.filter.apply(
+            inverse_torque(undelayed, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
+        )
+        for o in observations
+    ])  # fmt: skip
 
 
 def sizes_at(joint: Joint, owner: str, scales: TypicalSizes) -> TypicalSizes:

@@ -34,7 +34,7 @@ def clipped(values: Array, signal: str, *, least: float = 0.01, run: int = 4) ->
     # a value below half of the largest is an idle drive, not a limited one
     limits = [end for end in sorted(ends) if 2 * abs(end) >= max(map(abs, ends))]
     share = sum(b - a for end in limits for a, b in runs(values == end) if b - a >= run)
-    if share < least * len(values):
+    if share < least * len(values) or len(ends) == 1:  # a constant is an input
         return []
     return [
         f"{signal}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for "
@@ -240,7 +240,9 @@ def feedback(
         return None
     size = float(np.median(np.abs(t)))
     two_levels = float(np.mean(np.abs(np.abs(t) - size) < 0.05 * size))
-    same = float(np.mean(np.sign(t) == np.sign(v)))
+    # in both directions: of one, any torque with an offset has the sign
+    ways = [np.sign(t[way * v > 0.0]) == way for way in (1.0, -1.0)]
+    same = min(float(np.mean(way)) if way.size else 0.0 for way in ways)
     # a joint reverses some time after an open-loop torque, and together with one that follows it
     turns = np.flatnonzero(np.diff(np.sign(torque)) != 0)
     at_turns = np.minimum(np.abs(velocity[turns]), np.abs(velocity[turns + 1]))

@@ -227,6 +227,14 @@ class Law:
         return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)
 
 
+def integral(rate: Array, segments: Segments, period: float) -> Array:
+    """Integrate a signal ``(n,)`` by trapezoids, from 0 in every segment."""
+    out = np.zeros_like(rate)
+    for a, b in segments:
+        out[a + 1 : b] = np.cumsum(0.5 * period * (rate[a : b - 1] + rate[a + 1 : b]))
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """One recorded file or table in memory in SI units; arrays have the shape (n,)."""
@@ -256,6 +264,7 @@ class Measurement:
     widest_band: float | None = None  # Hz, of a usable acceleration, where a model determines it
     late: float = 0.0  # delay of the position, s, where a model determines it; trimmed at both ends
     law: Law | None = None  # of the drive; None for a simulated replicate
+    integrated: bool = False  # whether the position is the integral of the velocity
 
     def part(self, samples: Index | slice, segments: Segments) -> Measurement:
         """Select samples, which then make up ``segments``."""

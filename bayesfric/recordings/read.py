@@ -17,7 +17,16 @@ import numpy as np
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags, Index
-from bayesfric.recordings.measurement import Grid, Inputs, Lag, Law, Measurement, Signal, make_grid
+from bayesfric.recordings.measurement import (
+    Grid,
+    Inputs,
+    Lag,
+    Law,
+    Measurement,
+    Signal,
+    integral,
+    make_grid,
+)
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
     SI,
@@ -103,32 +112,43 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
     source, table, rows = _aligned(source, table)
-    position, position_step = joint_signal(source.position, "position", table, drive)
-    steps, velocity = [*table.notes, position_step], None
-    time = recorded_time(source, table, len(position))
+    table = table.with_ones(len(rows))
+    steps, position, velocity = list(table.notes), None, None
+    if source.position is not None:
+        position, step = joint_signal(source.position, "position", table, drive)
+        steps.append(step)
+    time = recorded_time(source, table, len(rows))
     if source.rate is not None:
         time = (rows - rows[:1]) / source.rate
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         steps.append(step)
+    moved, signal = (velocity, "velocity") if position is None else (position, "position")
+    assert moved is not None
     channel, kind, recorded, torque_step = _recorded_torque(source, table, drive)
 
     # checks
     chosen = slice(*chosen_rows(source, time, table.where))
     grid = make_grid(time, (chosen.start, chosen.stop), table.where)
-    checks.check_moves(position[chosen], table.label(source.position.column), "position")
-    checks.check_moves(recorded.command[chosen], table.label(channel.column), kind)
+    checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
+    if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
+        checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
     warnings = [*grid.warnings, *_count_warnings(source, table, chosen)]
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
-    if (encoder_step := checks.quantisation(position[chosen])) is not None:
-        unit = "rad" if drive.motion == "rotary" else "m"
-        steps.append(f"position: read in steps of {encoder_step:.3g} {unit} at the joint")
+    if (encoder_step := checks.quantisation(moved[chosen])) is not None:
+        unit = ("rad" if drive.motion == "rotary" else "m") + "/s" * (position is None)
+        steps.append(f"{signal}: read in steps of {encoder_step:.3g} {unit} at the joint")
     steps += grid.steps
 
     # arrays
-    joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
+    if position is None:
+        assert speed is not None
+        joint = integral(speed, grid.segments, grid.period)
+        steps.append("position: none; the velocity integrated, from 0 in every segment")
+    else:
+        joint = grid.smooth(position)
     law = recorded.on(grid)
     if channel.sampled != "instant":
         # position and speed pass the same averaging as the torque
@@ -178,6 +198,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         motion=drive.motion,
         torque_constant=torque_constant,
         law=replace(played, off=off),
+        integrated=position is None,
         ratio=drive.ratio,
     )
 
@@ -186,8 +207,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
 
 def _aligned(source: Columns, table: Table) -> tuple[Columns, Table, Index]:
-    """Bring all columns to the rows, and to the time stamps, of the position."""
-    first = source.position.column
+    """Bring all columns to the rows, and to the time stamps, of the motion."""
+    first = source.motion.column
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
         other = channel_at.setdefault(table.place(channel.column), key)
@@ -221,12 +242,17 @@ def _signed(channel: Channel, table: Table) -> Array:
 
 def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
     """Return a channel in SI units, shape (n,), times constants with units."""
-    texts = [channel.unit, *constants]
+    value = channel.value if isinstance(channel, Effort) else None
+    texts = [channel.unit if value is None else str(value), *constants]
     if channel.times is not None:
         texts.insert(1, channel.times_unit)
     both = " and times_unit" if channel.times is not None else ""
     where = f"{table.label(channel.column)}, unit{both} of {key}"
-    factor = 1.0 if texts == [SI] else units.scale(texts, kind, where)
+    factor = 1.0
+    if value == 0.0:  # in any unit
+        factor = 0.0
+    elif texts != [SI]:
+        factor = units.scale(texts, kind, where, positive=value is None)
     values = _signed(channel, table)
     if channel.times is not None:
         values = values * table.column(channel.times)
@@ -350,7 +376,7 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
     if (channel := source.torque) is not None:
         constant = [] if channel.constant is None else [channel.constant]
         torque = _scaled(channel, table, kind, kind, *constant)
-        step = f"{kind}: as measured"
+        step = f"{kind}: {'as measured' if channel.value is None else channel.value}"
         if constant:
             step = f"{kind}: the signal in {channel.unit} times {channel.constant}"
             if constant[0].endswith("/V"):

@@ -177,7 +177,7 @@ def observe(
         steps=(*recording.steps, *_step_sentences(filters, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
-        position_step=finest_step(recording.position),
+        position_step=0.0 if recording.integrated else finest_step(recording.position),
         rest=standstill,
         left_out=tuple(
             (float(recording.time[a]), float(recording.time[b - 1]))

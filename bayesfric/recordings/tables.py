@@ -58,7 +58,12 @@ class Table:
 
     def label(self, key: str | int) -> str:
         """Return ``"file, column 'name'"`` for messages."""
-        return f"{self.where}, column {key!r}"
+        return self.where if key == "" else f"{self.where}, column {key!r}"
+
+    def with_ones(self, count: int) -> Table:
+        """Add a column ``""`` of ones, for signals that are known throughout."""
+        self._columns[""] = np.ones(count)
+        return self
 
     def place(self, key: str | int) -> tuple[int, int | None]:
         """Return the index of a column, and of a signal in it, by name or number from 1."""

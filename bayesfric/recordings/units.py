@@ -120,8 +120,8 @@ def is_of(text: str, kind: Kind) -> bool:
     return True
 
 
-def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
-    """Return the positive SI value of one count of a channel, or of a constant.
+def scale(units: Sequence[str], kind: Kind, where: str = "unit", *, positive: bool = True) -> float:
+    """Return the SI value of one count of a channel, or of a constant.
 
     ``units`` are its unit and whatever multiplies it: ``["V", "35.15 N/V"]``. What is of
     another kind is bad input at ``where``.
@@ -134,7 +134,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
             if kind == "angle" and not any(_base(text)[1] for text in units):
                 hint = "an angle needs its unit: write 'turn/4096', not '1/4096'"
         raise BadInput(where, str(error), hint) from error
-    if not factor > 0:
+    if positive and not factor > 0:
         problem = f"{_listed(units)} is {factor:g}, not positive"
         raise BadInput(where, problem, "give a positive value; use sign = -1")
     return factor

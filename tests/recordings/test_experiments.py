@@ -1,0 +1,129 @@
+"""Experiments other than a motion under a recorded torque, with true values as oracles."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+import bayesfric as bf
+from bayesfric.base.errors import BadInput
+from bayesfric.diagnostics.candidates import BY_NAME
+from bayesfric.recordings.source import Torque
+from tests.axis import swing
+
+PENDULUM = {"motor.inertia": 0.025, "motor.coulomb": 0.02, "motor.viscous": 0.01}
+AXIS = {"motor.inertia": 0.02, "motor.viscous": 0.1, "motor.coulomb": 0.3}
+
+
+def assert_holds(model, truth, *, relative=0.0):
+    (estimate,) = model.estimates(["input-error"])
+    for name, value in truth.items():
+        row = estimate[name]
+        assert row.determined, name
+        assert abs(row.value - value) < 4.0 * row.larger_sd + relative * value, name
+
+
+def axis_torque(qd, qdd, truth, rng):
+    torque = truth["motor.inertia"] * qdd + truth["motor.viscous"] * qd
+    return torque + truth["motor.coulomb"] * np.sign(qd) + 0.003 * rng.standard_normal(qd.size)
+
+
+# --- a number in place of a column --------------------------------------------------------------
+
+
+def free_swing(step=1e-4, every=100, end=6.0):
+    """Integrate a falling pendulum by semi-implicit Euler, of which a sample is every hundredth."""
+    q, v, out = 1.2, 0.0, []
+    j, c, b = PENDULUM.values()
+    for k in range(int(end / step)):
+        if k % every == 0:
+            out.append(q)
+        v -= step / j * (0.14 * 9.80665 * np.sin(q) + b * v + c * np.tanh(v / 1e-3))
+        q += step * v
+    return np.arange(len(out)) * step * every, np.array(out)
+
+
+def test_a_motor_that_is_off_leaves_gravity_as_the_known_torque():
+    time, q = free_swing()
+    q += 1e-5 * np.random.default_rng(3).standard_normal(q.size)
+    recording = bf.Recording.from_arrays(time, q, 0)
+    pendulum = bf.Joint.preset("servo-pendulum")
+    # the step of the integration is 0.1 % of the shortest time constant
+    model = bf.Model(pendulum, recording, priors={"load.first_moment": 0.14})
+    assert_holds(model, PENDULUM, relative=0.005)
+    assert not any(row.determined for row in model.estimates(["least-squares"])[0].values)
+    with pytest.raises(BadInput, match="first_moment"):
+        bf.Model(pendulum, recording)
+
+
+LIFT = {"motor.inertia": 2.0, "motor.viscous": 3.0, "motor.coulomb": 1.0, "offset": 0.5}
+CONSTANTS = {"torque_constant": "2 N/A", "resistance": "1 ohm"}
+
+
+@pytest.mark.parametrize("as_column", [False, True])
+def test_a_constant_voltage_is_an_input(as_column):
+    time, recordings = np.arange(300) * 0.01, []
+    j, b, c, offset = LIFT.values()
+    for volts in (7.0, 4.0, -5.0, -3.0):
+        # closed form from rest: the back-EMF kt²/R brakes too, and the measured torque holds offset
+        rate = (b + 4.0) / j
+        final = (2.0 * volts - c * np.sign(volts) - offset) / (b + 4.0)
+        speed = final * (1.0 - np.exp(-rate * time))
+        position = final * (time - (1.0 - np.exp(-rate * time)) / rate)
+        speed += 1e-4 * np.random.default_rng(4).standard_normal(time.size)
+        voltage = np.full(time.size, volts) if as_column else f"{volts} V"
+        keys = {"velocity": speed, "voltage": voltage, "name": f"at {volts:g} V"} | CONSTANTS
+        recordings.append(bf.Recording.from_arrays(time, position, **keys))
+    joint = bf.Joint(
+        [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True, motion="linear")],
+        load=bf.Load(motion="linear"),
+        offset=True,
+    )
+    assert_holds(bf.Model(joint, recordings), LIFT, relative=1e-3)
+
+
+def test_a_current_that_never_changes_is_quoted_as_recorded():
+    time = np.arange(300) * 0.01
+    keys = {"current": np.full(300, 18.0), "torque_constant": "0.055 N m/A"}
+    units = {"current": "mA"}
+    recording = bf.Recording.from_arrays(time, np.sin(3.0 * time), units=units, **keys)
+    with pytest.raises(BadInput) as caught:
+        bf.Model(bf.Joint.preset("motor-axis"), recording)
+    assert "18" in caught.value.problem.split()
+
+
+@pytest.mark.parametrize(
+    "torque", [{"value": 2.0}, {"column": "tau", "unit": "N m", "value": 0}, {"column": "tau"}, {}]
+)
+def test_a_number_needs_its_unit_and_no_column(torque):
+    with pytest.raises(ValidationError):
+        Torque.model_validate(torque)
+    assert Torque.model_validate("-2 N m").value == "-2 N m"
+
+
+# --- velocity without position ------------------------------------------------------------------
+
+
+def speed_alone(**keys):
+    time, rng = np.arange(1500) * 0.01, np.random.default_rng(5)
+    _, qd, qdd = swing(time, ((0.3, 1.0), (0.7, 0.3), (1.3, 0.1)))
+    torque = axis_torque(qd, qdd, AXIS, rng)
+    speed = qd + 0.003 * rng.standard_normal(time.size)
+    return bf.Recording.from_arrays(time, None, torque, velocity=speed, **keys)
+
+
+def test_speed_alone_determines_all_but_terms_of_the_position():
+    model = bf.Model(bf.Joint.preset("motor-axis"), speed_alone())
+    assert_holds(model, AXIS)
+    kinds = model.explain().kinds
+    assert kinds
+    assert not any(BY_NAME[kind].of_position for kind in kinds if kind in BY_NAME)
+
+
+@pytest.mark.parametrize(
+    ("load", "added"),
+    [({"first_moment": True}, {}), ({"spring": True}, {}), ({}, {"added_mass": 1, "radius": 0.1})],
+)
+def test_terms_of_the_position_are_refused(load, added):
+    motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
+    with pytest.raises(BadInput):
+        bf.Model(bf.Joint([motor], load=bf.Load(**load)), speed_alone(**added))
