@@ -134,6 +134,7 @@ def _presliding(m: MotionSignals) -> Sets:
     return {
         f"{100 * x:.2g}%": [deflection(m.o.q, x * m.scales.reach) - m.direction]
         for x in (0.003, 0.01, 0.03, 0.1, 0.3)
+        if m.scales.reach  # points at constant speed have no path
     }
 
 
@@ -277,11 +278,10 @@ BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
     """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
-        if kind.of_position and motion.recording.integrated:
-            continue
+        size = 0.0 if kind.of_position and motion.recording.integrated else 1.0
         for shape, columns in kind.shapes(motion).items():
             for number, column in enumerate(columns):
-                yield Key(kind.name, shape, number), column
+                yield Key(kind.name, shape, number), size * column
         for number, column in enumerate(kind.nuisance(motion)):
             yield Key(kind.name, "", number, nuisance=True), column
     for delay, pair in delay_columns(motion).items():

@@ -11,7 +11,7 @@ from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.motion import TURNS
 from bayesfric.diagnostics.regression import Finding, Replicate, regression_of
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
-from bayesfric.diagnostics.statistics import LEAST_OUTPUTS, LONGEST, Columns
+from bayesfric.diagnostics.statistics import LONGEST, Columns, least_outputs
 from bayesfric.estimates.input_error import few_threads
 from bayesfric.estimates.point_estimate import HALF as MOVES
 from bayesfric.inference.discrepancy import Missing
@@ -98,7 +98,9 @@ class Explanation:
 
 def too_few_outputs(chain: Joint, observations: Sequence[Signals]) -> Reason | None:
     """Return the reason why recordings cannot be evaluated, if there is one beforehand."""
-    few = sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS
+    few = sum(o.measured.size for o in observations) < len(chain.names) + least_outputs(
+        observations
+    )
     return "few" if few else None
 
 

@@ -11,8 +11,9 @@ may determine even where they leave single parameters open.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -35,20 +36,24 @@ from bayesfric.identifiability.local import (
 from bayesfric.identifiability.next_recording import (
     LAG,
     LINES,
+    designed_recording,
+    in_place_of,
     known_mass,
     longest_stretch,
+    prepared,
     sample_period,
     scaled_jacobian,
-    simulate_recording,
     square_with_sines,
     torque_noise,
 )
 from bayesfric.inference.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import experiment
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.measurement import Inputs, Measurement
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.signals import Signals
 from bayesfric.results.reported import KNOWN_BY, Determined, Status
 
 if TYPE_CHECKING:
@@ -394,22 +399,29 @@ def open_counts(information: Array) -> tuple[int, int]:
 def trials(
     target: Target, parameters: Array, local: LocalInformation, *, rare: bool
 ) -> list[Trial]:
-    """Simulate recordings that may be remedies."""
+    """Design recordings that may be remedies: motions, of which the inverse model gives torque."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
     longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
     base, noise = observations[longest], torque_noise(target, parameters, longest)
-    measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), base.pace
-    time = period * np.arange(measured.size, dtype=np.float64)
-    peak = float(np.quantile(np.abs(measured), 0.99))
+    stretch, period, hertz = longest_stretch(base), sample_period(base), base.pace
+    time = period * np.arange(stretch.stop - stretch.start, dtype=np.float64)
+    peak = float(np.quantile(np.abs(base.torque[stretch]), 0.99))
     unit = "N m" if chain.motor_motion == "rotary" else "N"
-    experiments: list[tuple[RemedyKind, str, Array, Inputs]] = []
+    experiments: list[tuple[RemedyKind, str, Callable[[], Signals]]] = []
     if len({replace(o.inputs, recording="") for o in observations}) == 1:
         mass, article = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
         text = f"another recording with {article} known added mass (added_mass, radius), such as "
         text += f"{mass.added_mass:g} kg"
         text += f" at {mass.radius:g} m" if chain.load.motion == "rotary" else ""
-        experiments.append(("known mass", text, measured, mass))
+        bolted = in_place_of(base, mass)
+        motion = base.q[stretch], base.qd[stretch], base.qdd[stretch]
+
+        def loaded() -> Signals:
+            torque = inverse_torque(chain, values, *motion, inputs=bolted, time=time)
+            return prepared(chain, values, base, motion, torque, bolted)
+
+        experiments.append(("known mass", text, loaded))
     signals = {
         "of many frequencies, such as a square wave plus a multisine": square_with_sines(
             time, hertz, hertz * LINES
@@ -421,17 +433,18 @@ def trials(
     for form, shape in signals.items():
         text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
         torque = experiment.current_loop(peak * shape, period, LAG)
-        experiments.append(("excitation", text, torque, base.inputs))
-    simulated = []
-    for kind, text, torque, bolted in experiments:
+        design = partial(designed_recording, chain, values, base, torque, base.inputs)
+        experiments.append(("excitation", text, design))
+    made = []
+    for kind, text, record in experiments:
         try:
-            recording = simulate_recording(chain, values, base, torque, bolted)
+            recording = record()
         except ValueError:
-            continue  # it cannot be simulated, or stays at standstill
+            continue  # no such motion takes the torque, or it stays at standstill
         rows = scaled_jacobian(target, recording, values, local, noise)
         if np.isfinite(information := rows.T @ rows).all():
-            simulated.append((kind, text, information))
-    return simulated
+            made.append((kind, text, information))
+    return made
 
 
 def remedies(

@@ -133,7 +133,7 @@ class PlainMoments:
         return flat
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def product_sum(x: Array, y: Array) -> float:
     """Sum of products of two arrays."""
     # four sums are as fast as reordering by the compiler, and reproducible
@@ -463,20 +463,20 @@ def _moments(
         n_changed = 0
         for i0 in range(0, n_candidates[v], batch):
             n = min(batch, n_candidates[v] - i0)
-            levels = level[:n]
-            levels[:] = 0.0
+            for i in range(n):  # assignments of slices take seconds to compile
+                level[i] = 0.0
             for k in range(m.signs.shape[0]):
                 row, factor = m.signs[k, i0 : i0 + n], leg[v, k]
                 for i in range(n):
-                    levels[i] += row[i] * factor
+                    level[i] += row[i] * factor
             # branch-free, as half of the samples differ
             n_flipped = 0
             for i in range(n):
                 flipped[n_flipped] = i
-                n_flipped += levels[i] < 0.0
+                n_flipped += level[i] < 0.0
             for i in flipped[:n_flipped]:
                 s = i0 + i
-                jump = product_sum(m.jumps[s], lambda2[v]) * levels[i]
+                jump = product_sum(m.jumps[s], lambda2[v]) * level[i]
                 for k in range(m.first[s], m.last[s]):
                     change[k] += m.weights[s, k - m.first[s]] * jump
                     if not is_changed[k]:

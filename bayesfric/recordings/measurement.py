@@ -110,6 +110,14 @@ def make_grid(
     return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *sentences)
 
 
+def steady_grid(count: int) -> Grid:
+    """Make a grid of points at constant speeds, each a segment of its own, by their number."""
+    number = np.arange(count, dtype=np.float64)
+    segments = tuple((k, k + 1) for k in range(count))
+    step = f"time: none; {count} points at constant speed, without an acceleration"
+    return Grid(number, segments, number, segments, 1.0, False, (step,), ())
+
+
 def _evenly(stamps: Array, period: float) -> Array:
     # the tolerance keeps a last stamp that lies on the grid but for rounding
     n = int(np.floor((stamps[-1] - stamps[0]) / period + 1e-9)) + 1
@@ -265,6 +273,7 @@ class Measurement:
     late: float = 0.0  # delay of the position, s, where a model determines it; trimmed at both ends
     law: Law | None = None  # of the drive; None for a simulated replicate
     integrated: bool = False  # whether the position is the integral of the velocity
+    steady: bool = False  # whether every sample is a segment of its own, at constant speed
 
     def part(self, samples: Index | slice, segments: Segments) -> Measurement:
         """Select samples, which then make up ``segments``."""

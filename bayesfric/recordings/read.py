@@ -26,6 +26,7 @@ from bayesfric.recordings.measurement import (
     Signal,
     integral,
     make_grid,
+    steady_grid,
 )
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
@@ -129,7 +130,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
     # checks
     chosen = slice(*chosen_rows(source, time, table.where))
-    grid = make_grid(time, (chosen.start, chosen.stop), table.where)
+    where = table.where
+    grid = (
+        steady_grid(len(rows))
+        if source.steady
+        else make_grid(time, (chosen.start, chosen.stop), where)
+    )
     checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
         checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
@@ -146,7 +152,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if position is None:
         assert speed is not None
         joint = integral(speed, grid.segments, grid.period)
-        steps.append("position: none; the velocity integrated, from 0 in every segment")
+        steps += (
+            []
+            if source.steady
+            else ["position: none; the velocity integrated, from 0 in every segment"]
+        )
     else:
         joint = grid.smooth(position)
     law = recorded.on(grid)
@@ -170,6 +180,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
     off, excluded = _excluded(source, table, grid, warnings)
+    if source.steady:
+        excluded |= speed == 0.0
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     torque_constant = None
@@ -199,6 +211,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         torque_constant=torque_constant,
         law=replace(played, off=off),
         integrated=position is None,
+        steady=source.steady,
         ratio=drive.ratio,
     )
 
@@ -280,8 +293,7 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
 def recorded_time(source: Columns, table: Table, count: int) -> Array:
     """Return the stamps ``(count,)`` in s since the first."""
     if source.time is None:
-        assert source.rate is not None
-        return np.arange(count) / source.rate
+        return np.arange(count) / (source.rate or 1.0)
     time = _scaled(source.time, table, "time", "time")
     table.check_order(time, source.time.column)
     return np.asarray(time - time[0]) if count else time

@@ -96,7 +96,9 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     joints, least = tuple(ranges), 0.01 * max(ranges.values(), default=0.0)
     # a joint that stands still says nothing; noise of its encoder is no motion
     moving = (j for j in joints if ranges[j] > least) if joint is None else joints
-    label = next((j for j in moving if joint is None or j.lower() == joint.lower()), None)
+    # joint_2 is joint 2
+    wanted = () if joint is None else (joint.lower(), named(f"{joint} position").joint)
+    label = next((j for j in moving if joint is None or j.lower() in wanted), None)
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
@@ -141,7 +143,7 @@ def _signals(table: Table) -> Iterator[tuple[str, Array, Named]]:
             yield name, _numbers(table, name), named(name, written)
             continue
         # a message that names its joints may have them in any order
-        if any(other.startswith(f"{name}[") for other in table.names):
+        if any(other.startswith((f"{name}[", f"{name}.")) for other in table.names):
             continue
         with suppress(BadInput):  # the fourth signal of three, which ends a column of several
             for key in (f"{name}[{k}]" for k in range(64)):

@@ -86,6 +86,11 @@ class Signals:
     smooth: Array | None = None
 
     @property
+    def steady(self) -> bool:
+        """Whether every output is a point at constant speed."""
+        return bool(self.settings.get("steady"))
+
+    @property
     def acceleration(self) -> Array:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
@@ -127,6 +132,8 @@ def observe(
     Defaults come from the recording and its ``resolution``. A cut-off that the sampling rate cannot
     carry, and settings that leave no output, are bad input.
     """
+    if recording.steady:
+        processing = Processing(lowpass=0.0, decimate=1, trim=0.0, dead_zone=0.0)
     filters, (q, qd, compared, still, windows, settings) = _prepare(
         recording, processing, resolution
     )
@@ -145,6 +152,8 @@ def observe(
         # a smaller mismatch may come from filters
         if factor is not None and not 0.5 < factor < 2.0:
             settings["velocity_factor"] = factor
+    if recording.steady:
+        settings |= {"steady": True, "sampling_rate": 0.0}
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     torque = applied_torque(recording, filters.reach)
     filtered_torque = as_position(torque, segments, period, settings)

@@ -254,6 +254,11 @@ class Columns(Options):
         description="Further columns, such as another joint's position, speed or torque, that are "
         "asked whether they explain the torque.",
     )
+    steady: bool = Field(
+        False,
+        description="true: every row is a point at constant speed, as of a friction curve, in any "
+        "order and without a time: speed and torque, no acceleration.",
+    )
     start: Seconds | None = Field(
         None, description="Leave out what lies before, in seconds from the first stamp."
     )
@@ -286,7 +291,12 @@ class Columns(Options):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if (self.time is None) == (self.rate is None):
+        if self.steady:
+            wrong = [k for k in ("time", "rate", "position", "target") if getattr(self, k)]
+            if wrong or self.velocity is None:
+                got = f"got '{wrong[0]}'" if wrong else "got no 'velocity'"
+                raise Unfit("'velocity' and torque alone of steady points", got)
+        elif (self.time is None) == (self.rate is None):
             got = "neither" if self.time is None else "both"
             raise Unfit("exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {got}")
         if self.position is None and (self.velocity is None or self.target is not None):

@@ -163,6 +163,8 @@ def _recorded(summary: Summary) -> str:
         if row.get("n_samples") and row.get("sampling_rate")
     ]
     names = ", ".join(recordings) if len(recordings) < 3 else f"{len(recordings)} recordings"
+    if points := sum(row["n_samples"] for row in recordings.values() if row.get("steady")):
+        names += f": {points} points at constant speed{', and others' if sampled else ''}"
     if not sampled:
         return names
     rates = sorted(rate for _, rate in sampled)

@@ -124,7 +124,7 @@ def predicting(arm):
     other = bench.log(bench.urdf(bench.FACTORS), TRUTH, seconds=10.0, seed=2, faster=1.37)
     other.to_csv(folder / "other.csv", index=False)
     options, joints = Arm(folder / "arm.urdf", QUICK).options, arm.bodies.joints
-    layout = layout_of(folder / "other.csv", joints, None)
+    layout = layout_of(folder / "other.csv", joints, {})
     log = ArmLog(folder / "other.csv", "other", options, layout, joints, 10_000)
     return replace(arm, logs=(*arm.logs, log))
 

@@ -67,6 +67,10 @@ def test_a_file_is_replaced_only_by_force(bench):
     cases(
         ("nothing", [], ["PRESET", "--from"]),
         ("a table of nothing", ["motor-axis", "--table", "x"], ["--table", "--from LOG"]),
+        ("lines of nothing", ["motor-axis", "--skip-rows", "2"], ["--skip-rows", "--from LOG"]),
+        ("no such format", ["--from", "run.csv", "--format", "xls"], ["--format", "xlsx"]),
+        ("a column", ["--from", "column.txt"], ["column.txt", "one column"]),
+        ("another format", ["--from", "run.csv", "--format", "json"], ["run.csv"]),
         ("no such log", ["--from", "none.csv"], ["none.csv", "does not exist"]),
         ("no such preset", ["knee", "--from", "run.csv"], ["knee", "no such preset"]),
         ("a log of text", ["--from", "c.toml"], ["c.toml"]),
@@ -77,6 +81,7 @@ def test_a_file_is_replaced_only_by_force(bench):
     ),
 )
 def test_bad_arguments(bench, arguments, parts):
+    (bench.folder / "column.txt").write_text("0\n0.5\n1\n")
     has(bench.refused("init", *arguments), *parts)
 
 
@@ -198,6 +203,40 @@ def test_the_first_of_several_joints(bench):
     has(text, "# joint 0; others: 1", 'column = "q[0]"', 'side = "motor"')
     has(printed, "Joint 0; with --joint one of: 1")
     has(bench.refused("init", "--from", "log.jsonl", "--joint", "7"), "--joint 7", "0, 1")
+
+
+def test_every_column_is_described(bench):
+    """Its range and holes, what it is taken as, or why it is not: in JSON and on the terminal."""
+    table = pd.DataFrame({"t_s": T, "q_rad": Q, "target_q": Q, "tau_Nm": TAU, "flag": "on"})
+    table["effort"], table["i_q"], table.loc[:2, "q_rad"] = 0.0, TAU, np.nan
+    table.to_csv(bench.folder / "log.csv", index=False)
+    record = bench.record("init", "--from", "log.csv")
+    columns = {row["column"]: row for row in record["columns"]}
+    assert list(columns) == list(table)
+    taken = {name: row["taken"] for name, row in columns.items() if "taken" in row}
+    assert taken == {"t_s": "time", "q_rad": "position", "tau_Nm": "torque"}
+    assert all(("why" in row) != ("taken" in row) for row in columns.values())
+    assert (columns["q_rad"]["holes"], columns["q_rad"]["unit"]) == (3, "rad")
+    assert (columns["tau_Nm"]["low"], columns["tau_Nm"]["high"]) == (TAU.min(), TAU.max())
+    assert not columns["effort"]["moves"]
+    text, printed = drafted(bench, "log.csv")
+    has(printed, *columns, columns["flag"]["why"], "3 of 2000")
+    plain = bench.run("init", "--from", "log.csv").out
+    assert tomllib.loads(plain) == tomllib.loads(text)  # the table is a comment
+
+
+@pytest.mark.parametrize("arguments", [[], ["--decimal", ","], ["--format", "csv"]])
+def test_the_layout_that_was_detected_or_given_is_written(bench, arguments):
+    table = pd.DataFrame({"t_s": T, "q_rad": Q, "tau_Nm": TAU})
+    path = bench.folder / "log.asc"
+    table.to_csv(path, index=False, sep=";", decimal=",")
+    text, _ = drafted(bench, "log.asc", *arguments)
+    has(text, 'decimal = ","')
+    assert ("format" in text) == ("--format" in arguments)
+    path.write_text(f"12,5;7,5\n1,5;8,5\n{path.read_text()}")
+    text, _ = drafted(bench, "log.asc", *arguments, "--skip-rows", "2", "--force")
+    has(text, "skip_rows = 2")
+    check_completed(bench, text)
 
 
 def test_units_from_a_row_below_the_header(bench):

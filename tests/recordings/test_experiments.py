@@ -127,3 +127,75 @@ def test_terms_of_the_position_are_refused(load, added):
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
     with pytest.raises(BadInput):
         bf.Model(bf.Joint([motor], load=bf.Load(**load)), speed_alone(**added))
+
+
+# --- points at constant speed -------------------------------------------------------------------
+
+SPEEDS = np.array([0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0])
+SPEEDS = np.concatenate([-SPEEDS[::-1], SPEEDS])
+FRICTION = {"motor.viscous": 0.1, "motor.coulomb": 0.3}
+
+
+def friction_curve(rng, *, sd=0.007, more=()):
+    speed = np.append(SPEEDS, more)
+    torque = 0.1 * speed + 0.3 * np.sign(speed) + sd * rng.standard_normal(speed.size)
+    torque[SPEEDS.size :] += 100.0  # at rest friction may be anything
+    return bf.Recording.from_arrays(None, None, torque, velocity=speed, steady=True)
+
+
+def test_points_at_constant_speed_determine_friction_and_no_inertia():
+    squares = {name: [] for name in FRICTION}
+    rng = np.random.default_rng(6)
+    for _ in range(40):
+        model = bf.Model(bf.Joint.preset("motor-axis"), friction_curve(rng, more=[0.0, 0.0]))
+        (estimate,) = model.estimates(["least-squares"])
+        assert not estimate["motor.inertia"].determined
+        for name, value in FRICTION.items():
+            squares[name].append(((estimate[name].value - value) / estimate[name].sd) ** 2)
+    # of Student's t with 11 degrees of freedom: mean 11/9, standard deviation 2.1
+    for name, square in squares.items():
+        assert abs(np.mean(square) - 11.0 / 9.0) < 4.0 * 2.1 / 40**0.5, name
+
+
+def test_few_points_are_checked_as_any_recording():
+    model = bf.Model(bf.Joint.preset("motor-axis"), friction_curve(np.random.default_rng(7)))
+    explanation = model.explain()
+    assert explanation.reason is None
+    assert not explanation.findings
+    with pytest.raises(BadInput):
+        model.estimates(["output-error"])
+
+
+@pytest.mark.parametrize("wrong", [{"rate": 10}, {"torque": None}, {"velocity": None}])
+def test_steady_points_have_speed_and_torque_alone(wrong):
+    keys = {"time": None, "position": None, "torque": SPEEDS, "velocity": SPEEDS, "steady": True}
+    with pytest.raises(BadInput):
+        bf.Recording.from_arrays(**keys | wrong)
+
+
+# --- what a constant torque is a share of -------------------------------------------------------
+
+
+def test_a_sensor_that_reads_too_much_hints_at_an_offset():
+    rng, time = np.random.default_rng(8), np.arange(2000) * 0.01
+    q, qd, qdd = swing(time, ((0.2, 0.5), (0.6, 0.3), (1.4, 0.1)))
+    load = 8.0 * np.sin(2.0 * np.pi * 0.37 * time)
+    rotor = 0.6 * qdd + 6.0 * qd + 4.0 * np.sign(qd)
+    torque = rotor - load + 0.05 * rng.standard_normal(time.size)
+    recording = bf.Recording.from_arrays(time, q, torque, load_torque=load + 0.6)
+    motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
+    model = bf.Model(bf.Joint([motor], load=bf.Load()), recording)
+    (finding, *_) = model.explain().findings
+    assert finding.hint == "mechanism.offset = true"
+
+
+@pytest.mark.parametrize("level", [0.0, 3.0])
+def test_what_is_left_is_a_share_of_the_torque(level):
+    rng, time = np.random.default_rng(9), np.arange(2000) * 0.01
+    torque = level + 0.3 + 0.1 * 0.7 + 0.02 * rng.standard_normal(time.size)
+    keys = {"sampling": {"max_steps": 200}, "self_check": {"recordings": 0}}
+    recording = bf.Recording.from_arrays(time, 0.7 * time, torque)
+    result = bf.Model(bf.Joint.preset("motor-axis"), recording, **keys).fit()
+    noise = result.summary.fit.residual_rms
+    mean = level + 0.37
+    assert result.summary.verdict.left == pytest.approx(noise / np.hypot(mean, noise), rel=0.01)

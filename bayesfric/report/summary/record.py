@@ -352,6 +352,8 @@ class Residual(Part):
     """What the posterior leaves unexplained, recording by recording."""
 
     residual_rms: NotNegative | None = None
+    measured_rms: NotNegative | None = None  # of the torque itself
+    # share of the torque's variance, of which an offset explains nothing
     explained: Annotated[FiniteFloat, Field(le=1.0)] | None = None
     unit: str = ""
     quantity: str = "output"
@@ -481,7 +483,9 @@ class Summary(Part):
             tested=tested is not None,
         )
         doubtful = sum(r.doubtful for n, r in self.rows.items() if not of_noise(n))
-        return Verdict(outcome, self.fit.explained, tested["asked"] if tested else 0, doubtful)
+        left, total = self.fit.residual_rms, self.fit.measured_rms
+        share = left / total if left is not None and total else None
+        return Verdict(outcome, share, tested["asked"] if tested else 0, doubtful)
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:
