@@ -18,7 +18,7 @@ LEAST_SAMPLES = 50
 # Reference temperature of losses that depend on it, degrees Celsius.
 ROOM = 20.0
 # Interpolation of a torque between its samples.
-Hold = Literal["zero", "linear", "cubic"]
+Hold = Literal["zero", "linear"]
 
 # The causal low-pass that a signal passed before it was recorded: cut-off in Hz, -3 dB, and order,
 # 1 or, Butterworth, 2.
