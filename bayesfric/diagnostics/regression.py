@@ -126,16 +126,10 @@ class Finding:
         return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
-@dataclass(frozen=True, eq=False)
-class Replicate:
-    """A simulated recording with known parameters and no torque noise."""
-
-    values: Array  # (n_parameters,) true parameters
-    # (n, n_parameters) derivatives of its outputs there, and (n,) residual of the model: the error
-    # of encoder and filters
-    base: Array
-    residual: Array
-    layout: Layout
+# A simulated recording with known parameters and no torque noise: the true parameters
+# (n_parameters,), and columns without candidates, whose residual is the error of encoder and
+# filters.
+Replicate = tuple[Array, Columns]
 
 
 @dataclass(eq=False)
@@ -515,7 +509,9 @@ def regression_of(
     }
     columns, cutoff = [d for _, d in simulated], f"{smoothed:.3g} Hz"
     regression = Regression(data, columns, scales, sizes, gradients, noise, cutoff)
-    return regression, tuple(Replicate(v, d.base, d.residual, d.layout) for v, d in simulated)
+    return regression, tuple(
+        (v, replace(d, others=np.empty((len(d.base), 0)), keys=())) for v, d in simulated
+    )
 
 
 def draw_parameters(

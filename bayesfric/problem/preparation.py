@@ -99,7 +99,7 @@ def _read_all(
         recordings = [Recording(source, config.folder) for source in config.tables.recordings]
     for number, recording in enumerate(recordings, start=1):
         measurements += _read(config, chain, recording, number)
-    fitted = config.origin.recordings if config.origin else {}
+    fitted = config.origin.get("recordings", {})
     for k, r in enumerate(measurements):
         if r.name in fitted and fitted[r.name]["sha256"] != r.sha256:
             text = f"changed since the run was made: its SHA-256 was {fitted[r.name]['sha256']}"

@@ -73,6 +73,13 @@ class Channel(Options):
         description="Bits of a signed number recorded as unsigned: values from 2**(bits-1) up "
         "get 2**bits subtracted.",
     )
+    sign_bit: int | None = Field(
+        None,
+        ge=1,
+        le=52,
+        description="Bit that is the sign of a number recorded as unsigned: values from 2**bit up "
+        "are negative, by as much as they are above it.",
+    )
     times: str | int | None = Field(
         None,
         description="A further column multiplied in sample by sample, such as the supply voltage "
