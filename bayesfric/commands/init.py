@@ -146,7 +146,7 @@ def _log_configuration(
     }
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
-    unknown = []
+    unknown = list(log.problems)
     if preset is None:
         unknown.append(f"the mechanism: {chosen} is used, as no PRESET was named")
     if geared:

@@ -204,7 +204,7 @@ def _current_column(m: MotionSignals) -> Sets:
     return {
         "the supply's": [*(x * np.abs(v) for x in regressors), m.torque * np.abs(m.torque)],
         "the supply's without a sign": [*(x * v for x in regressors), m.torque**2],
-        "signed by power": [x * m.direction for x in regressors],
+        'signed by power (sign = "by-speed")': [x * m.direction for x in regressors],
         "without a sign": [x * sign for sign in signs for x in regressors],
     }
 

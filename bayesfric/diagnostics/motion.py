@@ -14,7 +14,7 @@ from scipy import fft
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State, TypicalSizes
-from bayesfric.recordings.arrays import Array, Segments
+from bayesfric.recordings.arrays import Array, Segments, rms
 from bayesfric.recordings.filters import derivative, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.signals import Signals
@@ -81,8 +81,8 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> S
     return Scales(
         speed=float(np.quantile(np.abs(of_outputs([o.qd for o in observations])), 0.95)),
         reach=2.0 * float(np.median(of_outputs(away))),
-        torque=_rms(np.concatenate([o.measured for o in observations])) or _rms(moving),
-        lost=_rms(of_outputs(lost)),
+        torque=rms(np.concatenate([o.measured for o in observations])) or rms(moving),
+        lost=rms(of_outputs(lost)),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles={
             name: k
@@ -92,15 +92,11 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> S
         names=tuple(o.name for o in observations),
         others=tuple(name for name in others if f"load.{name}" not in chain.names),
         inertia=inertia,
-        need=_rms(carried) / inertia,
+        need=rms(carried) / inertia,
         band=max(float(o.settings["band"]) for o in observations)
         or 0.3 / max(o.period for o in observations),
-        weighs=max(float(np.ptp(x)) for x in weights) > 1e-3 * _rms(carried),
+        weighs=max(float(np.ptp(x)) for x in weights) > 1e-3 * rms(carried),
     )
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 
 
 def _carried(chain: Joint, values: Array, o: Signals, *, still: bool = False) -> Array:
@@ -189,7 +185,7 @@ class MotionSignals:
         silent = 0.0
         for f in self.cutoffs:
             fast = signals - lowpass(signals, segments, fs, f, ORDER)
-            recorded, friction = map(_rms, fast[:, self.o.filter.centres])
+            recorded, friction = map(rms, fast[:, self.o.filter.centres])
             if recorded > 0.1 * friction:
                 break
             silent = f

@@ -126,16 +126,10 @@ class Finding:
         return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
-@dataclass(frozen=True, eq=False)
-class Replicate:
-    """A simulated recording with known parameters and no torque noise."""
-
-    values: Array  # (n_parameters,) true parameters
-    # (n, n_parameters) derivatives of its outputs there, and (n,) residual of the model: the error
-    # of encoder and filters
-    base: Array
-    residual: Array
-    layout: Layout
+# A simulated recording with known parameters and no torque noise: the true parameters
+# (n_parameters,), and columns without candidates, whose residual is the error of encoder and
+# filters.
+Replicate = tuple[Array, Columns]
 
 
 @dataclass(eq=False)
@@ -511,7 +505,8 @@ def regression_of(
         outputs = sum(o.measured.size for o in usable)
         if len(usable) == len(repeated) and outputs >= len(chain.names) + least_outputs(usable):
             d = columns_at(vector, usable)
-            simulated.append(Replicate(vector, d.base, d.residual, d.layout))
+            alone = replace(d, others=np.empty((outputs, 0)), keys=())
+            simulated.append((vector, alone))
             # in single precision: these columns take most of a fit's memory
             others: Any = d.others.astype(np.float32)
             columns.append(replace(d, others=others))

@@ -26,7 +26,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, TypicalSizes, effort_words
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.signals import Signals
 
 # Quantile that is taken for the largest: a glitch must not set a scale.
@@ -291,9 +291,9 @@ def typical_sizes(
         # from an unknown zero the angle may be any
         lean=1.0 if any(p.circular for p in joint.parameters) else lean or 1.0,
         exchanged=_surely_taken(joint, observations),
-        speed=_rms(speed),
+        speed=rms(speed),
         # a motion changes its speed at least once in all recordings
-        acceleration=max(_rms(acceleration), _rms(speed) / duration),
+        acceleration=max(rms(acceleration), rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         position_step=min(o.position_step for o in observations),
@@ -346,8 +346,4 @@ def _rms_of(carried: CarriedTerm, observations: Sequence[Signals]) -> float:
     arguments = [
         (o.q[k], o.qd[k], o.stamps[k], o.inputs) for k, o in zip(at, observations, strict=True)
     ]
-    return _rms(np.concatenate([along(carried.row, carried.reach, *a) for a in arguments]))
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
+    return rms(np.concatenate([along(carried.row, carried.reach, *a) for a in arguments]))

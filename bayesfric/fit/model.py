@@ -799,7 +799,7 @@ class Result:
                     recording.saved(saved)
                     recordings[k] = replace(measured, path=folder / file, sha256=sha256(saved))
             origin = config.origin_of(recordings, folder if self.model.given else config.folder)
-            summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
+            summary = self.summary.model_copy(update={"source": origin})
             write_run(
                 folder,
                 self.fit,

@@ -18,7 +18,7 @@ LEAST_SAMPLES = 50
 # Reference temperature of losses that depend on it, degrees Celsius.
 ROOM = 20.0
 # Interpolation of a torque between its samples.
-Hold = Literal["zero", "linear", "cubic"]
+Hold = Literal["zero", "linear"]
 
 # The causal low-pass that a signal passed before it was recorded: cut-off in Hz, -3 dB, and order,
 # 1 or, Butterworth, 2.
@@ -103,11 +103,20 @@ def make_grid(
             f"time: {len(ranges) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
             f"samples left out ({lost} samples)"
         )
-    if not 1e-6 <= period <= 1.0:
-        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
+    span = float(time[last - 1] - time[first])
+    if implausible(period, span):
+        warnings.append(
+            f"time: {count} samples in {span:.3g} s, one every {period:.3g} s, are of no joint's "
+            "motion; is the unit of time right?"
+        )
     segments = tuple(pairwise(np.cumsum([0, *(len(part) for part in times)]).tolist()))
     sentences, resampled = (tuple(steps), tuple(warnings)), jitter > most_jitter
     return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *sentences)
+
+
+def implausible(period: float, span: float) -> bool:
+    """Whether no joint is recorded so fast, so slowly, or for so short or long a time, in s."""
+    return not (2e-5 <= period <= 0.2 and 0.1 <= span <= 86400.0)
 
 
 def steady_grid(count: int) -> Grid:

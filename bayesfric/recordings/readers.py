@@ -195,6 +195,8 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
     if not lines:
         after = f" after {options.skip_rows} skipped lines" if options.skip_rows else ""
         raise BadInput(str(path), f"is empty{after}", "check whether the recorder wrote anything")
+    # of a commented header, as numpy.savetxt writes it, the mark is no cell
+    text = [line.lstrip("#").lstrip() if line.startswith("#") else line for line in text]
     head = [text[n - 1] for n in lines[:400]]
     if any(map(_TRACE_VARIABLE.match, head)):
         return _read_trace(path, [text[n - 1] for n in lines], options)
@@ -241,7 +243,7 @@ def _titled(
     names, units, notes = [""] * width, list[str](), list[str]()
     top = first if header is None else header
     if header is not None:
-        names = [rows[header][0].lstrip("#").strip(), *rows[header][1:]]
+        names = list(rows[header])
     if header is not None and first - header > 1:
         if len(rows[header + 1]) == width:
             units = [cell.strip("[]()") for cell in rows[header + 1]]
@@ -319,6 +321,11 @@ def _find_header(
         return 0, len(rows)
     while first > 0 and like[first - 1] and any(flags[first - 1]):
         first -= 1
+    # pandas' names of columns without one are 0, 1, ..., behind an empty name of its index
+    counted = [str(k) for k in range(width)]
+    decimals = all("." in cell for cell in rows[min(first + 1, len(rows) - 1)])
+    if list(rows[first]) in (["", *counted[:-1]], counted * decimals) and width > 1:
+        return first, first + 1
     if first and not like[first - 1] and any(flags[first - 1]):
         # a serial log may begin within a row
         if first == 1 or (like[first - 2] and not any(flags[first - 2])):

@@ -17,9 +17,8 @@ from bayesfric.base.options import configuration_error
 from bayesfric.base.safe_read import read_json
 from bayesfric.estimates import Method
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
-from bayesfric.identifiability.identification import OpenDirection, SpeedTerm
+from bayesfric.identifiability.identification import OpenDirection
 from bayesfric.identifiability.local import WIDE
-from bayesfric.inference.posterior import StictionViolation
 from bayesfric.mechanism.quantities import turned
 from bayesfric.report.words import clause, line_of, words_of
 from bayesfric.results.reported import (
@@ -360,8 +359,8 @@ class Residual(Part):
     quantity: str = "output"
     # N m/A or N/A, where all that is explained was measured as a current
     torque_constant: FiniteFloat | None = None
-    back_emf: SpeedTerm | None = None  # where a torque comes from a voltage
-    rests: list[StictionViolation] = []  # standstills that were not used
+    back_emf: dict[str, Any] | None = None  # where a torque comes from a voltage
+    rests: list[dict[str, Any]] = []  # standstills that were not used
     recordings: dict[Name, dict[str, Any]] = {}  # how each was processed, and what is left of it
 
 
