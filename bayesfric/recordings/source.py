@@ -189,6 +189,10 @@ class Torque(Effort):
         None, description="What turns the signal into a torque, such as '35.15 N/V'."
     )
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [handler(core), {"type": ["number", "string"]}]}
+
 
 class Current(Effort):
     """The motor current."""
