@@ -508,8 +508,8 @@ def regression_of(
             alone = replace(d, others=np.empty((outputs, 0)), keys=())
             simulated.append((vector, alone))
             # in single precision: these columns take most of a fit's memory
-            others: Any = d.others.astype(np.float32)
-            columns.append(replace(d, others=others))
+            single: Any = d.others.astype(np.float32)
+            columns.append(replace(d, others=single))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")
     gradients = {

@@ -119,7 +119,7 @@ def is_fitted(folder: Path, text: str, template: Path) -> bool:
 
 
 def check_dask(options: ClusterOptions) -> None:
-    """Check that Dask and pyarrow are installed, and a worker's memory limit, before anything is written."""
+    """Check what must be installed, and a worker's memory limit, before anything is written."""
     try:
         import cryptography  # noqa: F401 (makes a local cluster's credentials)
         import distributed  # noqa: F401
