@@ -525,7 +525,8 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     kp, kd = kp * to_side, kd * to_side
     # no drive holds a mean over the sample
     held = target.held and target.sampled == "instant"
-    step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
+    towards = target.value or f"column '{target.column}'"
+    step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""
     return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step
 
