@@ -29,7 +29,7 @@ from bayesfric.report.comparison.comparison import (
     comparison_dict,
 )
 from bayesfric.report.summary.record import Summary, read_summary_file
-from bayesfric.report.words import filled, line_of
+from bayesfric.report.words import csv_text, filled, line_of
 
 
 def report(
@@ -145,7 +145,7 @@ def _write_comparison(
     summaries: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Write the folder of a comparison."""
-    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
+    from bayesfric.report.comparison.between_runs import between_runs
     from bayesfric.report.figures.registry import FOREST
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.pages import compare_page, read_provenance, shared_recordings
@@ -153,13 +153,11 @@ def _write_comparison(
 
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in runs.items()}
-    pooled = []
     # a recording in two runs would count twice
-    if len(runs) > 1 and not shared_recordings(provenance):
-        draws = {name: read_draws(run, checked[name]) for name, run in runs.items()}
-        pooled = between_runs(checked, draws)
+    same = shared_recordings(provenance)
+    pooled = [] if len(runs) < 2 or same else between_runs(checked)
     order = {row.name: k for k, row in enumerate(table.rows)}
-    pooled.sort(key=lambda pool: order[pool.name])
+    pooled.sort(key=lambda line: order[line["name"]])
     # before anything is written, as it may be refused
     figure = FOREST.draw(table)
     assert figure is not None
@@ -169,7 +167,7 @@ def _write_comparison(
         "comparison.tex": methods_latex(table),
     }
     if len(runs) > 1:
-        texts["between-runs.csv"] = between_runs_csv(pooled)
+        texts["between-runs.csv"] = csv_text(pooled, [*pooled[0]] if pooled else ["name"])
     with new_folder(output) as folder:
         (folder / "figures").mkdir()
         save(figure, folder / "figures", FOREST.stem)

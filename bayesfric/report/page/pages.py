@@ -28,7 +28,6 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
 from bayesfric.base.templates import environment
 from bayesfric.recordings.checks import too_slow
-from bayesfric.report.comparison.between_runs import SharedQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.registry import (
     FOREST,
@@ -224,7 +223,7 @@ def compare_page(
     folder: Path,
     compared: Comparison,
     runs: Mapping[str, Summary],
-    pooled: Sequence[SharedQuantity],
+    pooled: Sequence[Mapping[str, Any]],
     provenance: Mapping[str, Provenance | None],
 ) -> str:
     """Write the page of a comparison; a figure that ``folder`` lacks is left out."""
