@@ -91,7 +91,7 @@ def _panel(ax: Axes, quantity: FleetQuantity) -> None:
     value, low, high = np.array([(x.value, x.low, x.high) for x in reported]).T
     outlying, x = quantity.outlying, np.arange(1, len(names) + 1)
     out = np.array([outlying[name] >= OUTLIER for name in names])
-    pixels = {"rasterized": len(names) > 300}  # too many points for a vector graphic
+    pixels: style.Look = {"rasterized": len(names) > 300}  # too many points for a vector graphic
     ax.vlines(x, low, high, colors="#b4b4b4", linewidths=0.5, **pixels)
     ax.plot(x[~out], value[~out], "o", color=style.POSTERIOR, ms=1.8, label="unit", **pixels)
     if out.any():
@@ -102,7 +102,6 @@ def _panel(ax: Axes, quantity: FleetQuantity) -> None:
     ax.axhline(mean - HALF * spread, label="90 % of the population", **look)
     ax.axhline(mean + HALF * spread, **look)
     ax.margins(x=0.02, y=0.06)
-    exponent = style.power_of_ten(float(low.min()), float(high.max()))
-    style.few_ticks(ax.yaxis, 4, exponent=exponent)
+    style.few_ticks(ax.yaxis, 4)
     style.few_ticks(ax.xaxis, 5)
-    ax.set_ylabel(style.axis_label(quantity.row.symbol, quantity.name, exponent, quantity.row.unit))
+    ax.set_ylabel(style.axis_label(quantity.row.symbol, quantity.name, quantity.row.unit))

@@ -25,15 +25,17 @@ def results_table(
     """Tabulate the reported quantities of each unit, or why it failed, and the units' columns."""
     import pandas as pd
 
-    rows: list[dict[str, Any]] = []
+    frames = []
     for unit in units:
         if unit.name in errors:
-            rows.append({"unit": unit.name, "outcome": FAILED, "error": errors[unit.name]})
+            row = {"outcome": FAILED, "error": errors[unit.name]}
+            frames.append(pd.DataFrame([{"unit": unit.name, **row}]))
             continue
         frame = runs[unit.name].frame.rename(columns={"name": "quantity", "unit": "measure"})
         outcome = runs[unit.name].verdict.outcome
-        rows += frame.assign(unit=unit.name, outcome=outcome).to_dict("records")
-    table = pd.DataFrame(rows, columns=[*COLUMNS]).astype(COLUMNS)
+        frames.append(frame.assign(unit=unit.name, outcome=outcome))
+    parts = [frame.reindex(columns=[*COLUMNS]).astype(COLUMNS) for frame in frames]
+    table = pd.concat(parts, ignore_index=True)
     values = {unit.name: unit.values for unit in units}
     columns = pd.DataFrame.from_dict(values, orient="index").convert_dtypes()
     return table.join(columns[[name for name in columns if name not in COLUMNS]], on="unit")
