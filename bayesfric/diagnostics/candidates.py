@@ -11,9 +11,10 @@ a motion without losses does not show: up to four shares are tried.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -52,6 +53,8 @@ class Kind:
     loss: bool = False  # whether it is friction, and so scaled by the model's losses
     # whether it is a function of speed, which the friction law absorbs
     of_speed: bool = False
+    # whether it depends on where the joint stands, which an integrated velocity does not show
+    of_position: bool = False
     # whether it is a fault of the recorded torque, which no term models
     of_recording: bool = False
     # least share of the torque's rms
@@ -132,6 +135,7 @@ def _presliding(m: MotionSignals) -> Sets:
     return {
         f"{100 * x:.2g}%": [deflection(m.o.q, x * m.scales.reach) - m.direction]
         for x in (0.003, 0.01, 0.03, 0.1, 0.3)
+        if m.scales.reach  # points at constant speed have no path
     }
 
 
@@ -200,7 +204,7 @@ def _current_column(m: MotionSignals) -> Sets:
     return {
         "the supply's": [*(x * np.abs(v) for x in regressors), m.torque * np.abs(m.torque)],
         "the supply's without a sign": [*(x * v for x in regressors), m.torque**2],
-        "signed by power": [x * m.direction for x in regressors],
+        'signed by power (sign = "by-speed")': [x * m.direction for x in regressors],
         "without a sign": [x * sign for sign in signs for x in regressors],
     }
 
@@ -241,11 +245,13 @@ KINDS: tuple[Kind, ...] = (
     _friction("load_speed", _by_load(lambda m, carried: [np.abs(carried) * m.o.qd]),
               option="load_speed", positive=True),
     Kind("inertia", lambda m: m.o.qdd, option="inertia"),
-    Kind("gravity", lambda m: _rotary(m, np.sin(m.o.q), np.cos(m.o.q)), option="gravity_angle"),
-    Kind("spring", partial(_of_table, "spring"), option="spring"),
-    _friction("friction_by_angle", _friction_by_angle, option="periodic_friction"),
-    Kind("inertia_by_angle", _inertia_by_angle),
-    Kind("repeating", _waves, option="cogging"),
+    Kind("gravity", lambda m: _rotary(m, np.sin(m.o.q), np.cos(m.o.q)), option="gravity_angle",
+         of_position=True),
+    Kind("spring", partial(_of_table, "spring"), option="spring", of_position=True),
+    _friction("friction_by_angle", _friction_by_angle, option="periodic_friction",
+              of_position=True),
+    Kind("inertia_by_angle", _inertia_by_angle, of_position=True),
+    Kind("repeating", _waves, option="cogging", of_position=True),
     Kind("elastic", lambda m: m.elastic,
          nuisance=lambda m: [*m.rate(np.concatenate([*m.elastic.values()]))]),
     Kind("backlash", _backlash),
@@ -264,7 +270,7 @@ KINDS: tuple[Kind, ...] = (
     # so many columns always fit a little: simulated recordings of another current have at least 0.4
     # of the torque, measured ones of the right current up to 0.14
     _fault("current_column", _current_column, least=0.3),
-    _fault("torque_constant_by_angle", lambda m: _waves(m, m.torque)),
+    _fault("torque_constant_by_angle", lambda m: _waves(m, m.torque), of_position=True),
 )
 # fmt: on
 BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
@@ -273,9 +279,10 @@ BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
     """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
+        size = 0.0 if kind.of_position and motion.recording.integrated else 1.0
         for shape, columns in kind.shapes(motion).items():
             for number, column in enumerate(columns):
-                yield Key(kind.name, shape, number), column
+                yield Key(kind.name, shape, number), size * column
         for number, column in enumerate(kind.nuisance(motion)):
             yield Key(kind.name, "", number, nuisance=True), column
     for delay, pair in delay_columns(motion).items():
@@ -311,13 +318,18 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     return dict(zip(delays, pairs, strict=True))
 
 
-def filtered_columns(o: Signals, columns: Sequence[Array], at_once: int = 8) -> Array:
-    """Filter columns ``(N,)``, a cache line of them at once, skipping those that are zero."""
-    nonzero = [i for i, column in enumerate(columns) if column.any()]
-    out = np.zeros((o.filter.n_outputs, len(columns)))
-    for first in range(0, len(nonzero), at_once):
-        block = nonzero[first : first + at_once]
-        raw = np.stack([columns[i] for i in block], axis=1)
-        raw[~np.isfinite(raw)] = 0.0
-        out[:, block] = o.filter.apply(raw.T).T
-    return out
+def filtered_columns(
+    o: Signals, columns: Iterable[tuple[Key, Array]], at_once: int = 8
+) -> tuple[list[Key], Array]:
+    """Filter columns ``(N,)`` by key, a cache line of them at once; those of zeros stay zero."""
+    keys, blocks, waiting = [], [], iter(columns)
+    while batch := list(islice(waiting, at_once)):
+        keys += [key for key, _ in batch]
+        block = np.zeros((o.filter.n_outputs, len(batch)))
+        nonzero = [i for i, (_, column) in enumerate(batch) if column.any()]
+        if nonzero:
+            raw = np.stack([batch[i][1] for i in nonzero], axis=1)
+            raw[~np.isfinite(raw)] = 0.0
+            block[:, nonzero] = o.filter.apply(raw.T).T
+        blocks.append(block)
+    return keys, np.concatenate(blocks, axis=1)

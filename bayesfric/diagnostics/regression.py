@@ -35,7 +35,6 @@ from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
     DELAYS,
     FALSE_ALARMS,
-    LEAST_OUTPUTS,
     MAX_EFFECTS,
     MEAN_AS_SPREAD,
     OPEN,
@@ -52,6 +51,7 @@ from bayesfric.diagnostics.statistics import (
     basis_of,
     candidate_groups,
     choose_autocorrelation,
+    least_outputs,
     mean_square,
     project_out,
     score_candidates,
@@ -126,16 +126,10 @@ class Finding:
         return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
-@dataclass(frozen=True, eq=False)
-class Replicate:
-    """A simulated recording with known parameters and no torque noise."""
-
-    values: Array  # (n_parameters,) true parameters
-    # (n, n_parameters) derivatives of its outputs there, and (n,) residual of the model: the error
-    # of encoder and filters
-    base: Array
-    residual: Array
-    layout: Layout
+# A simulated recording with known parameters and no torque noise: the true parameters
+# (n_parameters,), and columns without candidates, whose residual is the error of encoder and
+# filters.
+Replicate = tuple[Array, Columns]
 
 
 @dataclass(eq=False)
@@ -177,9 +171,13 @@ class Regression:
                 best, self.noise, chosen = bic, noise, extra
         self._add_noise(self.noise, chosen)
         self.replicates = [
-            replace(t, autocorrelation=choose_autocorrelation(t.residual_with(chosen), t.layout)[0])
-            for t in self.replicates
+            replace(t, autocorrelation=self._noise_of(t, chosen)) for t in self.replicates
         ]
+
+    def _noise_of(self, d: Columns, extra: Sequence[int]) -> Autocorrelation:
+        """Choose the noise about its mean: the autocorrelation would absorb an offset."""
+        mean = [i for key, columns in self.groups if key.kind == "offset" for i in columns]
+        return choose_autocorrelation(d.residual_with([*extra, *mean]), d.layout)[0]
 
     def _add_noise(self, noise: Autocorrelation, extra: Sequence[int]) -> None:
         """Add noise so that the replicates' residual is as large as the recording's."""
@@ -192,7 +190,7 @@ class Regression:
         noise_share = max(1.0 - sensor_power / max(total, 1e-300), 0.1)
         sd = math.sqrt(total * noise_share / noise.variance(self.data.layout))
         rng = np.random.default_rng(self.noise_seed)
-        self.replicates = [
+        self.replicates[:] = [
             replace(t, residual=t.residual + sd * noise.drawn(t.layout, rng)) for t in clean
         ]
 
@@ -245,8 +243,7 @@ class Regression:
         candidates would explain what it removed. The gains of all are returned, too.
         """
         if not for_noise:
-            residual = self.data.residual_with(extra)
-            noise, _ = choose_autocorrelation(residual, self.data.layout)
+            noise = self._noise_of(self.data, extra)
             self.data = replace(self.data, autocorrelation=noise)
         arguments = self.groups, extra, self.scales.transient_width
         recorded = score_candidates(self.data, *arguments)
@@ -404,11 +401,14 @@ class Regression:
             else:
                 columns = transient_columns(d.layout, scan, self.scales.transient_width)
             keys = (Key(scan.kind, self._scan_shape(scan), i) for i in range(columns.shape[1]))
-            others = np.column_stack([d.others, columns])
+            if d.others_whitened:
+                columns = d.autocorrelation.whitened(columns, d.layout)
+            others = np.column_stack([d.others, columns.astype(d.others.dtype)])
             return replace(d, others=others, keys=(*d.keys, *keys))
 
         self.data = extended(self.data)
-        self.replicates = [extended(replicate) for replicate in self.replicates]
+        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+            self.replicates[i] = extended(replicate)
         return list(range(first, self.data.others.shape[1]))
 
     # Marginalisation
@@ -480,13 +480,15 @@ def regression_of(
         """Compute the model's and the candidates' columns."""
         blocks = []
         for o, r in zip(observed, recordings, strict=True):
-            columns = dict(columns_along(MotionSignals(chain, vector, o, r, scales)))
-            blocks.append(filtered_columns(o, list(columns.values())))
+            along = columns_along(MotionSignals(chain, vector, o, r, scales))
+            keys, block = filtered_columns(o, along)
+            blocks.append(block)
         steps = free * _STEP * np.maximum(np.abs(vector), 1.0)
         base = torque_jacobian(chain, observed, vector, steps)
         left = [o.measured - filtered_torque(chain, o, vector[None])[0] for o in observed]
-        layout, keys = Layout.of(observed), tuple(columns)
-        return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
+        return Columns(
+            base, np.concatenate(blocks), np.concatenate(left), Layout.of(observed), tuple(keys)
+        )
 
     data = columns_at(values, observations)
     pairs = zip(observations, recordings, strict=True)
@@ -497,12 +499,17 @@ def regression_of(
         replicates(chain, vectors, r, o, processing, stream.spawn(number))
         for r, o, stream in streams
     ]
-    simulated = []
+    simulated, columns = [], []
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
-        if len(usable) == len(repeated) and outputs >= len(chain.names) + LEAST_OUTPUTS:
-            simulated.append((vector, columns_at(vector, usable)))
+        if len(usable) == len(repeated) and outputs >= len(chain.names) + least_outputs(usable):
+            d = columns_at(vector, usable)
+            alone = replace(d, others=np.empty((outputs, 0)), keys=())
+            simulated.append((vector, alone))
+            # in single precision: these columns take most of a fit's memory
+            single: Any = d.others.astype(np.float32)
+            columns.append(replace(d, others=single))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")
     gradients = {
@@ -510,9 +517,9 @@ def regression_of(
         for name, gradient in reported_gradients(chain, values, observations).items()
         if name not in known and np.isfinite(gradient).all()
     }
-    columns, cutoff = [d for _, d in simulated], f"{smoothed:.3g} Hz"
+    cutoff = f"{smoothed:.3g} Hz"
     regression = Regression(data, columns, scales, sizes, gradients, noise, cutoff)
-    return regression, tuple(Replicate(v, d.base, d.residual, d.layout) for v, d in simulated)
+    return regression, tuple(simulated)
 
 
 def draw_parameters(
