@@ -69,7 +69,7 @@ def progress_shown(wanted: bool | ProgressCallback) -> Iterator[ProgressCallback
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
 
-    class Compilation(event.Listener):  # type: ignore[misc]
+    class Compilation(event.Listener):
         """Say once that kernels are compiled, which a cache keeps for later runs."""
 
         said = False

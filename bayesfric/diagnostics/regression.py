@@ -170,9 +170,8 @@ class Regression:
             if bic < best:
                 best, self.noise, chosen = bic, noise, extra
         self._add_noise(self.noise, chosen)
-        self.replicates = [
-            replace(t, autocorrelation=self._noise_of(t, chosen)) for t in self.replicates
-        ]
+        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+            self.replicates[i] = replicate.with_noise(self._noise_of(replicate, chosen))
 
     def _noise_of(self, d: Columns, extra: Sequence[int]) -> Autocorrelation:
         """Choose the noise about its mean: the autocorrelation would absorb an offset."""
@@ -407,7 +406,7 @@ class Regression:
             return replace(d, others=others, keys=(*d.keys, *keys))
 
         self.data = extended(self.data)
-        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+        for i, replicate in enumerate(self.replicates):
             self.replicates[i] = extended(replicate)
         return list(range(first, self.data.others.shape[1]))
 
