@@ -192,7 +192,7 @@ class Regression:
         noise_share = max(1.0 - sensor_power / max(total, 1e-300), 0.1)
         sd = math.sqrt(total * noise_share / noise.variance(self.data.layout))
         rng = np.random.default_rng(self.noise_seed)
-        self.replicates = [
+        self.replicates[:] = [
             replace(t, residual=t.residual + sd * noise.drawn(t.layout, rng)) for t in clean
         ]
 
@@ -403,11 +403,14 @@ class Regression:
             else:
                 columns = transient_columns(d.layout, scan, self.scales.transient_width)
             keys = (Key(scan.kind, self._scan_shape(scan), i) for i in range(columns.shape[1]))
-            others = np.column_stack([d.others, columns])
+            if d.others_whitened:
+                columns = d.autocorrelation.whitened(columns, d.layout)
+            others = np.column_stack([d.others, columns.astype(d.others.dtype)])
             return replace(d, others=others, keys=(*d.keys, *keys))
 
         self.data = extended(self.data)
-        self.replicates = [extended(replicate) for replicate in self.replicates]
+        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+            self.replicates[i] = extended(replicate)
         return list(range(first, self.data.others.shape[1]))
 
     # Marginalisation
@@ -479,13 +482,15 @@ def regression_of(
         """Compute the model's and the candidates' columns."""
         blocks = []
         for o, r in zip(observed, recordings, strict=True):
-            columns = dict(columns_along(MotionSignals(chain, vector, o, r, scales)))
-            blocks.append(filtered_columns(o, list(columns.values())))
+            along = columns_along(MotionSignals(chain, vector, o, r, scales))
+            keys, block = filtered_columns(o, along)
+            blocks.append(block)
         steps = free * _STEP * np.maximum(np.abs(vector), 1.0)
         base = torque_jacobian(chain, observed, vector, steps)
         left = [o.measured - filtered_torque(chain, o, vector[None])[0] for o in observed]
-        layout, keys = Layout.of(observed), tuple(columns)
-        return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
+        return Columns(
+            base, np.concatenate(blocks), np.concatenate(left), Layout.of(observed), tuple(keys)
+        )
 
     data = columns_at(values, observations)
     pairs = zip(observations, recordings, strict=True)
@@ -496,12 +501,17 @@ def regression_of(
         replicates(chain, vectors, r, o, processing, stream.spawn(number))
         for r, o, stream in streams
     ]
-    simulated = []
+    simulated, columns = [], []
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
         if len(usable) == len(repeated) and outputs >= len(chain.names) + least_outputs(usable):
-            simulated.append((vector, columns_at(vector, usable)))
+            d = columns_at(vector, usable)
+            alone = replace(d, others=np.empty((outputs, 0)), keys=())
+            simulated.append((vector, alone))
+            # in single precision: these columns take most of a fit's memory
+            single: Any = d.others.astype(np.float32)
+            columns.append(replace(d, others=single))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")
     gradients = {
@@ -509,11 +519,9 @@ def regression_of(
         for name, gradient in reported_gradients(chain, values, observations).items()
         if name not in known and np.isfinite(gradient).all()
     }
-    columns, cutoff = [d for _, d in simulated], f"{smoothed:.3g} Hz"
+    cutoff = f"{smoothed:.3g} Hz"
     regression = Regression(data, columns, scales, sizes, gradients, noise, cutoff)
-    return regression, tuple(
-        (v, replace(d, others=np.empty((len(d.base), 0)), keys=())) for v, d in simulated
-    )
+    return regression, tuple(simulated)
 
 
 def draw_parameters(

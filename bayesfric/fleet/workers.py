@@ -119,13 +119,14 @@ def is_fitted(folder: Path, text: str, template: Path) -> bool:
 
 
 def check_dask(options: ClusterOptions) -> None:
-    """Check that Dask is installed, and a worker's memory limit, before anything is written."""
+    """Check what must be installed, and a worker's memory limit, before anything is written."""
     try:
         import cryptography  # noqa: F401 (makes a local cluster's credentials)
         import distributed  # noqa: F401
+        import pyarrow  # noqa: F401 (writes the table of results)
         from dask.utils import parse_bytes
     except ImportError:
-        problem = "needs Dask distributed, which is not installed"
+        problem = "needs Dask distributed and pyarrow, which are not installed"
         raise BadInput("bayesfric fleet", problem, "pip install 'bayesfric[fleet]'") from None
     try:
         if parse_bytes(options.memory_limit) < 2**27:  # what imports take

@@ -114,7 +114,7 @@ def read_recordings(
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
-    source, table, time = _aligned(source, table, drive)
+    source, table, time = aligned(source, table, drive)
     table, time, stale, warnings = _fresh(source, table, time)
     table = table.with_ones(len(time))
     steps, position, velocity = list(table.notes), None, None
@@ -227,7 +227,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 # --- columns ------------------------------------------------------------------------------------
 
 
-def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
+def aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
     """Bring all columns, decoded, to the rows and time stamps of the motion.
 
     Returns these stamps, too, in s since the recording's first.
@@ -252,14 +252,14 @@ def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
             own = source.time.model_copy(update={"column": clock})
             source = source.model_copy(update={"time": own})
         table = table.without_repeats(source.columns, clock)
-    source, table = _decoded(source, table, drive)
+    source, table = decoded(source, table, drive)
     time = recorded_time(source, table, table.values(first if clock is None else clock).size)
     stamps = time if clock is None else table.stamps(clock)
     table, rows = table.aligned(source.columns, first, clock, stamps, source.valid)
     return source, table, time[rows]
 
 
-def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
+def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
     """Decode signs and counters that wrap, and leave out failed reads, before any interpolation."""
     decoded, notes, update = dict[str | int, Array](), list[str](), dict[str, Channel]()
     wraps = dict[str, tuple[float, float, float]]()  # median, turn and SI unit of a raw 1
