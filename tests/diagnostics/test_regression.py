@@ -445,7 +445,7 @@ def test_replicates_that_are_missing_or_too_short_are_left_out(monkeypatch):
 
     simulated = losing(1)
     assert len(simulated) == 6
-    assert simulated[0].layout.outputs == least
+    assert simulated[0][1].layout.outputs == least
     # at least half must remain
     assert len(losing(3)) == 4
     with pytest.raises(ReplicateError):
