@@ -15,8 +15,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from bayesfric.export.joint_model import (
     static_friction,
     torque_along,
 )
+from bayesfric.export.programs import Program
 from bayesfric.export.written_law import Language
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Quantity
@@ -54,6 +55,7 @@ class Options:
     joint: str = "joint"  # name of the joint in the simulator's model
     into: Path | None = None  # model whose joint is changed
     draws: int | None = None
+    program: Program | None = None  # that the files are for
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Format:
     notes: frozenset[str] = frozenset()  # words that templates/notes.txt.j2 tests
     complete: bool = False  # whether it carries the law itself instead of numbers
     friction: bool = True  # whether its friction is a function of speed
+    dropped: frozenset[str] = frozenset()  # numbers that its program does not take
 
     @property
     def numbers(self) -> Mapping[str, Number]:
@@ -79,7 +82,13 @@ class Format:
     @property
     def carried(self) -> frozenset[str]:
         """Numbers that it has, or leaves to the surrounding model."""
-        return frozenset(NUMBERS if self.complete else {*self.names.values(), *LINK_AND_DRIVE})
+        numbers = NUMBERS if self.complete else {*self.names.values(), *LINK_AND_DRIVE}
+        return frozenset(numbers) - self.dropped
+
+    def without(self, numbers: Collection[str]) -> Format:
+        """Leave numbers out; others are fitted in their place."""
+        names = {k: x for k, x in self.names.items() if x not in numbers}
+        return replace(self, names=names, dropped=frozenset(numbers))
 
     def fit(
         self, joint: Joint, values: Array, motions: Sequence[Trajectory], load: float
@@ -88,6 +97,7 @@ class Format:
         if not self.friction:
             return bam_numbers(joint, values, list(motions))
         numbers = simulator_numbers(joint, values, motions, self.carried)
+        numbers |= {name: np.zeros(len(values)) for name in self.dropped}
         if "static_friction" in self.carried:
             static = static_friction(joint, values, load)
             # simulators want no less than what slides
@@ -182,7 +192,7 @@ def _write_mujoco(content: Mapping[str, Any]) -> Files:
     """Write a whole model of the joint, or a joint of a model changed in place."""
     options, numbers, stem = content["options"], content["numbers"], content["stem"]
     files: Files = {}
-    if "law" in content:
+    if "law" in content and (options.program is None or options.program.name == "mujoco"):
         files = {f"{stem}_friction.py": filled("mujoco_friction.py.j2", **content)}
     if (path := options.into) is not None:
         text = read_text(path, "name an MJCF file with --into")
