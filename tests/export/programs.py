@@ -30,6 +30,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Inputs
 from tests.conftest import REPOSITORY
 
+from .arm_programs import ARM_PROGRAMS, arm_row
 from .made import exported_vector, posterior_of, preset, rms
 
 GRAVITY = 9.7  # not a program's default
@@ -142,8 +143,6 @@ def newton(path, form, solver):
             array.assign(values)
         newton.eval_fk(model, before.joint_q, before.joint_qd, before)
         stepper.step(before, after, control, None, STEP)
-        if solver in ("XPBD", "SemiImplicit"):
-            newton.eval_ik(model, after, after.joint_q, after.joint_qd)
         return (float(after.joint_qd.numpy()[dof]) - qd) / STEP
 
     stored = {"armature": "armature", "friction": "friction", "damping": "damping"}
@@ -286,8 +285,10 @@ def brax(path, _form):
     from brax.generalized import pipeline
     from brax.io import mjcf
 
-    system = mjcf.load(str(path)).tree_replace({"opt.timestep": STEP})
-    system.mj_model.opt.integrator = 0  # it steps by Euler's method, and refuses another's name
+    # its pipeline steps by Euler's method, a model with geometry
+    text = path.read_text().replace("implicitfast", "Euler")
+    text = text.replace("<inertial", '<geom size="0.01" contype="0" conaffinity="0"/><inertial')
+    system = mjcf.loads(text).tree_replace({"opt.timestep": STEP})
     step = jax.jit(partial(pipeline.step, system))
     start = jax.jit(partial(pipeline.init, system))
 
@@ -335,9 +336,7 @@ def usd(path, _form):
 
 
 _EVERY = ("mujoco", "urdf", "isaac")
-_SOLVERS = {"MuJoCo": "newton mujoco_warp"} | dict.fromkeys(
-    ("Featherstone", "XPBD", "SemiImplicit"), "newton"
-)
+_SOLVERS = {"MuJoCo": "newton mujoco_warp", "Featherstone": "newton"}
 # Program: modules, distribution, formats, reader.
 PROGRAMS = {
     "mujoco": ("mujoco", "mujoco", ("mujoco", "urdf"), mujoco),
@@ -547,6 +546,10 @@ def main():
                 path.write_text(tomlkit.dumps(rows))
                 programs.cache_clear()
                 rows[form][name]["torque"] = torque_errors(name, form)
+        for form in ARM_PROGRAMS.get(name, ((), None))[0]:
+            with tempfile.TemporaryDirectory() as folder:
+                row = {"version": version(distribution), "takes": arm_row(name, form, Path(folder))}
+            rows.setdefault(form, {})[name] = row
     path.write_text(written(rows))
     programs.cache_clear()
     page = REPOSITORY / "studies" / "reference" / "simulators.md"

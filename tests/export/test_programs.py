@@ -8,10 +8,12 @@ from bayesfric.base.errors import BadInput
 from bayesfric.export.programs import program_of, programs, table
 from tests.conftest import REPOSITORY
 
+from .arm_programs import ARM_PROGRAMS, arm_row
 from .made import finished_posterior, numbers
 from .programs import PROGRAMS, measured, torque_errors
 
 ROWS = [(name, form) for name, (_, _, forms, _) in PROGRAMS.items() for form in forms]
+ARM_ROWS = [(name, form) for name, (forms, _) in ARM_PROGRAMS.items() for form in forms]
 
 
 def installed(name):
@@ -39,10 +41,15 @@ def test_a_file_for_a_program_has_the_torque_of_its_numbers(name, form):
         assert errors == pytest.approx(program_of(name, form).torque[what], rel=0.05, abs=0.05)
 
 
+@pytest.mark.parametrize(("name", "form"), ARM_ROWS)
+def test_effort_limits_and_mimic_joints_of_an_arm_arrive_as_its_row_says(name, form, tmp_path):
+    installed(name)
+    assert arm_row(name, form, tmp_path) == pytest.approx(dict(program_of(name, form).takes))
+
+
 def test_no_program_is_without_a_row():
-    assert sorted(ROWS) == sorted(
-        (name, form) for form, rows in programs().items() for name in rows
-    )
+    rows = sorted((name, form) for form, known in programs().items() for name in known)
+    assert sorted(ROWS + ARM_ROWS) == rows
 
 
 def test_the_page_has_the_table():
