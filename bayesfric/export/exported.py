@@ -22,7 +22,6 @@ from bayesfric.export.joint_model import (
     Numbers,
     Trajectory,
     exact_numbers,
-    loss_columns,
     number_of,
     of_recording,
     simulated_torque,
@@ -30,6 +29,7 @@ from bayesfric.export.joint_model import (
     thinned,
     torque_along,
     undelayed,
+    unit_torques,
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
 from bayesfric.export.programs import Program, program_of, programs
@@ -208,7 +208,7 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
         "central": vectors.kind,
     }
     rotary, language = joint.load.motion == "rotary", form.language
-    with_body = bool(form.notes & {"body", "mujoco"}) and options.into is None
+    with_body = options.into is None and any("inertia about the joint" in x for x in form.names)
     # everything that templates and writers use
     content: dict[str, Any] = {
         "format": form.name,
@@ -227,7 +227,7 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
         "unit": motor_unit,
         "position_unit": "rad" if rotary else "m",
     }
-    record["notes"] = _notes(content, form)
+    record["notes"] = _notes(content)
     content["remarks"] = [
         _harmless(line) for line in filled("remarks.txt.j2", **record).splitlines() if line
     ]
@@ -253,10 +253,10 @@ def lost_terms(
     values = undelayed(joint, vector[None])
     losses = [name for name in LOSSES if name in form.carried and form.friction]
     springs = ["stiffness"] if "stiffness" in form.carried else []
-    position = stacked(motions)[:1].T[:, : len(springs)]
+    # nothing stands in for the link and the drive
     bases = [
-        (names, columns, np.linalg.pinv(columns))
-        for names, columns in ((losses, loss_columns(losses, motions)), (springs, position))
+        (names, columns := unit_torques(names, motions), np.linalg.pinv(columns))
+        for names in (losses, springs, [])
     ]
     whole, lost = torque_along(joint, values, motions)[0], []
     for p, value in zip(joint.parameters, vector.tolist(), strict=True):
@@ -272,7 +272,8 @@ def lost_terms(
             without = values.copy()
             without[0, joint.names.index(p.name)] = 0.0
             term = whole - torque_along(joint, without, motions)[0]
-            fitted, columns, inverse = bases[number in ("stiffness", "stiffness_cubic")]
+            kind = 2 if number in LINK_AND_DRIVE else number in ("stiffness", "stiffness_cubic")
+            fitted, columns, inverse = bases[kind]
             left = term - columns @ (inverse @ term)
             sizes: dict[str, Any] = {"torque": rms_of(term), "left": rms_of(left), "fitted": fitted}
             sizes["torque_unit"] = "N m" if joint.motor_motion == "rotary" else "N"
@@ -295,7 +296,7 @@ def _sources(run: Result, form: Format) -> dict[str, list[str]]:
             number = instead.get(number, "")
         if number:
             names[number].append(p.name)
-        elif not of_recording(p) and not _is_shape(p):
+        elif not of_recording(p) and not _is_shape(p) and number_of(p) not in LINK_AND_DRIVE:
             for loss in (*LOSSES, *(name for name in names if name not in NUMBERS)):
                 names[loss].append(p.name)
         if p.quantity in ("load_drive", "load_back"):
@@ -311,7 +312,7 @@ def _harmless(remark: str) -> str:
     return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
 
 
-def _notes(content: Mapping[str, Any], form: Format) -> list[str]:
+def _notes(content: Mapping[str, Any]) -> list[str]:
     """List notes on the format and the run."""
     run, motions = content["run"], content["motions"]
     placeholder = None
@@ -324,7 +325,6 @@ def _notes(content: Mapping[str, Any], form: Format) -> list[str]:
     text = filled(
         "notes.txt.j2",
         **content,
-        words=form.notes,
         summary=run.summary,
         known_load=any(m.inputs.known_load for m in motions),
         own_term=unwritten(run.joint) is not None,
@@ -414,4 +414,5 @@ def _in_program(
             row["changed"].append({**term, "torque": rms_of(written - alone)})
         read = numbers | {name: factor * numbers[name] for name, factor in plain.items()}
         row["error"] = rms_of(simulated_torque(joint, read, motions)[0] - law)
-    return {**row, "says": filled("program.txt.j2", **row, whole=rms_of(law)).strip()}
+    unit = "N m" if joint.motor_motion == "rotary" else "N"
+    return row | {"says": filled("program.txt.j2", **row, whole=rms_of(law), unit=unit).strip()}

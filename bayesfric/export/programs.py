@@ -87,14 +87,13 @@ def program_of(name: str, form: str) -> Program:
 
 def table() -> str:
     """Tabulate all programs for the page, a row each."""
-    titles = ("`--to`", "`--for`", "arrives", "changed", "stored only", "lost", "N m")
+    titles = ("`--to`", "`--for`", "arrives", "stored only", "lost", "states", "chirp")
     lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     for form, rows in programs().items():
         for p in rows.values():
             lost = [x for x, f in p.takes.items() if not f and x not in p.stored]
             cells: tuple[Iterable[str], ...] = (
-                [x for x, f in p.takes.items() if f == 1.0],
-                [f"{x} (times {f:.4g})" for x, f in p.takes.items() if f not in (0.0, 1.0)],
+                [x if f == 1.0 else f"{x} times {f:.4g}" for x, f in p.takes.items() if f],
                 sorted(p.stored),
                 (
                     *(f"{x} (it warns)" if x in p.warns else x for x in lost),
@@ -103,7 +102,10 @@ def table() -> str:
                         for x, names in p.spoils.items()
                     ),
                 ),
-                [" / ".join(f"{x:g}" for x in p.torque["chirp"])] if p.torque else [],
+                *(
+                    [" / ".join(f"{x:g}" for x in p.torque.get(motion, ()))]
+                    for motion in ("states", "chirp")
+                ),
             )
             texts = " | ".join(", ".join(cell).replace("_", " ") for cell in cells)
             lines.append(f"| `{form}` | `{p.name}` {p.version} | {texts} |")

@@ -97,3 +97,12 @@ def test_a_file_for_a_program_has_nothing_that_spoils_another_number(name):
 def test_an_unknown_program_is_refused_by_its_nearest_name():
     with pytest.raises(BadInput, match="did you mean 'drake'"):
         bf.export(finished_posterior("plain"), "sdf", program="drak")
+
+
+def test_an_offset_that_a_program_does_not_take_is_left_out_and_said():
+    """Drake takes the motor of MJCF, and with it the armature, but not an actuator with a bias."""
+    exported = bf.export(finished_posterior("plain"), "mujoco", program="drake")
+    (offset,) = (x for x in exported.record["lost"] if x["parameters"] == ["offset"])
+    assert offset["torque"] == offset["left"] == pytest.approx(0.01)
+    assert offset["fitted"] == []
+    assert "<motor" in exported.main
