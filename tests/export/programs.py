@@ -5,6 +5,7 @@
 """
 
 import importlib
+import logging
 import os
 import tempfile
 import tomllib
@@ -181,20 +182,12 @@ def pinocchio(path, form):
 
 
 def drake(path, form):
-    import logging
-
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.multibody.tree import MultibodyForces
 
-    lines: list = []
-    handler = logging.Handler()
-    handler.emit = lambda record: lines.append(record.getMessage())  # type: ignore[method-assign]
-    logger = logging.getLogger("drake")
-    logger.addHandler(handler)
     plant = MultibodyPlant(0.0)
     Parser(plant).AddModels(str(path))
-    logger.removeHandler(handler)
     if plant.HasBodyNamed("base"):
         plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
     if form != "mujoco":
@@ -219,7 +212,7 @@ def drake(path, form):
             derivatives = plant.EvalTimeDerivatives(context).CopyToVector()[1]
             driven.append(derivatives * plant.CalcMassMatrix(context)[0, 0])
         acts = {"gain": driven[1] - driven[0], "torque_offset": 0.0}
-    return Loaded(torque, acts=acts, warned=" ".join(lines))
+    return Loaded(torque, acts=acts)
 
 
 def idyntree(path, _form):
@@ -426,13 +419,16 @@ def load(name, form, exported, folder):
         over = main.read_text().partition('over "joint"')[2].partition("{")[2]
         main.write_text(STAGE.replace("OVER", over.rpartition("}")[0]))
     log, kept = folder / "log.txt", [os.dup(1), os.dup(2)]
-    with log.open("wb") as file, warnings.catch_warnings(record=True) as caught:
+    with log.open("w") as file, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        handler = logging.StreamHandler(file)
+        logging.getLogger().addHandler(handler)
         for k in (1, 2):
             os.dup2(file.fileno(), k)
         try:
             loaded = PROGRAMS[name][3](main, form)
         finally:
+            logging.getLogger().removeHandler(handler)
             for k, old in zip((1, 2), kept, strict=True):
                 os.dup2(old, k)
                 os.close(old)

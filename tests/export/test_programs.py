@@ -12,6 +12,8 @@ from .arm_programs import ARM_PROGRAMS, arm_row
 from .made import finished_posterior, numbers
 from .programs import PROGRAMS, measured, torque_errors
 
+# programs' own use of what their libraries will take away
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 ROWS = [(name, form) for name, (_, _, forms, _) in PROGRAMS.items() for form in forms]
 ARM_ROWS = [(name, form) for name, (forms, _) in ARM_PROGRAMS.items() for form in forms]
 
