@@ -32,6 +32,7 @@ from bayesfric.problem.config import (
 )
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.readers import TableOptions
 from bayesfric.recordings.units import OPEN
 
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
@@ -158,7 +159,8 @@ class Arm:
         recording = self.options.recording
         if "position" in recording:
             return recording, {}
-        recognised, labels = layout_of(path, self.bodies.joints, recording.get("table"))
+        layout = {key: recording[key] for key in TableOptions.model_fields if key in recording}
+        recognised, labels = layout_of(path, self.bodies.joints, layout)
         recording = {**recognised, **recording}
         if OPEN in str(recording):
             problem = f"not all units are known: {toml_value(recording)}"

@@ -37,7 +37,9 @@ Joints = Mapping[str, UrdfJoint]
 Layout = tuple[Mapping[str, Any], Mapping[str, str]]
 
 
-def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool = False) -> Layout:
+def layout_of(
+    path: Path, joints: Joints, layout: Mapping[str, Any], *, in_order: bool = False
+) -> Layout:
     """Recognise the columns of a log's joints by the names of the URDF's joints.
 
     With ``in_order`` as many joints of other names are matched in the URDF's order.
@@ -47,7 +49,7 @@ def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool =
         """Return the part of a column's name that identifies its joint."""
         return named(f"{name} position").joint or name
 
-    opened = read_table(path, TableOptions.model_validate({"table": table}))
+    opened = read_table(path, TableOptions.model_validate(layout))
     log = recognise(opened)
     label_of = {joint_in(label): label for label in log.joints or [log.joint]}
     labels = {name: label_of[joint_in(name)] for name in joints if joint_in(name) in label_of}
@@ -77,8 +79,7 @@ def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool =
         if not token or pattern != first:
             problem = f"columns of joint {name!r} ({', '.join(columns)}) do not match other joints'"
             raise BadInput(str(path), problem, "write [recording] in arm.toml, with {joint}")
-    selection = {"table": table, "where": log.where or None}
-    return {**first, **{k: v for k, v in selection.items() if v}}, tokens
+    return {**first, **layout, **({"where": log.where} if log.where else {})}, tokens
 
 
 class ArmLog:
@@ -175,6 +176,8 @@ class ArmLog:
     def _position(self, source: Source, joint: UrdfJoint) -> Array:
         drive = Drive(1.0, joint.motion, joint.motion)
         try:
+            if source.position is None:
+                raise BadInput(self.table.where, "has no position", "name its column")
             return joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
             hint = f"{error.hint}; or give its constant position: joints.{joint.name}.held = 0.0"

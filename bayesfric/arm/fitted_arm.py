@@ -280,18 +280,13 @@ class FittedArm:
 
         ``causes`` are the deviations, the surest first.
         """
-        consistency, causes = self.consistency, []
-        value, sd = consistency.draws.mean(axis=0), consistency.draws.std(axis=0)
-        for k in np.argsort(-np.abs(value) / sd).tolist():
-            name, scale, unit = self.prior.deviations[k]
-            numbers = {"value": float(value[k]) * scale, "sd": float(sd[k]) * scale}
-            causes.append({"name": name, **numbers, "prior_sd": scale, "unit": unit})
+        consistency = self.consistency
         return {
             "p": consistency.p,
             "agreed": [*consistency.agreed],
             "physical": consistency.physical,
             "width": consistency.width,
-            "causes": causes,
+            "causes": consistency.deviations(self.prior),
             "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),
         }
 

@@ -17,7 +17,6 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.diagnostics.regression import Finding
-from bayesfric.estimates import METHODS
 from bayesfric.estimates.methods import TITLES
 from bayesfric.fit.model import Model
 from bayesfric.identifiability.next_recording import ASSUMPTION
@@ -32,7 +31,7 @@ def estimate(
     model: Model, method: str = "all", *, progress: ProgressCallback = no_progress
 ) -> Answer:
     """Estimate by a method of the paper, or ``all``."""
-    methods: Sequence[Any] = METHODS if method == "all" else [method]
+    methods: Sequence[Any] = () if method == "all" else [method]
     estimates = model.estimates(methods, progress=progress)
     references = model.references
     record = {

@@ -72,6 +72,9 @@ def init(
     log: Path | None = Option(None, "--from", metavar="LOG", help="recording, columns by name"),
     table: str | None = Option(None, help="with --from: table, group or topic in it"),
     joint: str | None = Option(None, help="with --from: which joint of several"),
+    file_format: str | None = Option(None, "--format", help="with --from: csv, hdf5, ros, ..."),
+    skip_rows: int | None = Option(None, help="with --from: lines above the table of a text"),
+    decimal: str | None = Option(None, help="with --from: decimal mark of a text"),
     urdf: Path | None = Option(None, metavar="ROBOT.urdf", help="of an arm"),
     all_keys: bool = Option(False, "--all-keys", help="every key, its type and meaning"),
     schema: bool = Option(False, "--schema", help="the JSON schema, for editors"),
@@ -80,20 +83,25 @@ def init(
 ) -> None:
     """Write a commented configuration."""
     from bayesfric.base.atomic_write import write_files
-    from bayesfric.commands.init import draft_configuration, open_text
+    from bayesfric.commands.init import columns_text, draft_configuration, open_text
 
     reference = "--schema" if schema else "--all-keys" if all_keys else None
     if reference and (log or (schema and all_keys)):
         raise BadInput(reference, "was given with --from or --all-keys", "give one of them")
-    if log is None and (table or joint):
-        raise BadInput("--table" if table else "--joint", "is for a log", "add --from LOG")
+    keys = {"format": file_format, "skip_rows": skip_rows, "decimal": decimal, "table": table}
+    layout = {key: value for key, value in keys.items() if value is not None}
+    if log is None and (layout or joint):
+        option = next(iter(layout), "joint").replace("_", "-")
+        raise BadInput(f"--{option}", "is for a log", "add --from LOG")
     output = None if output == Path("-") else output
-    options: dict[str, Any] = {"table": table, "joint": joint, "urdf": urdf}
-    draft = draft_configuration(preset, log, output, reference=reference, **options)
-    lines = [draft["text"]]
+    draft = draft_configuration(
+        preset, log, output, reference=reference, layout=layout, joint=joint, urdf=urdf
+    )
+    columns = columns_text(draft)
+    lines = [*(f"# {line}".rstrip() for line in columns), draft["text"]]
     if output is not None:
         write_files({output: draft["text"]}, replace=force)
-        lines = [f"Written to {output}", *open_text(draft)]
+        lines = [*columns, f"Written to {output}", *open_text(draft)]
     if schema and output:
         lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
     _print({**draft, "written": str(output) if output else None}, as_json, lines)

@@ -5,24 +5,28 @@ from __future__ import annotations
 import json
 import os
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
+import numpy as np
 from jinja2 import Template
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic_core import to_jsonable_python
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.options import configuration_error
 from bayesfric.base.templates import environment
 from bayesfric.fleet.plan import FleetTables
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Tables, toml_value
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.recognition import Log, recognise
+from bayesfric.recordings.recognition import Log, Named, named, recognise
+from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
+from bayesfric.report.terminal import aligned
 
 # Name in place of a preset.
 FLEET = "fleet"
@@ -31,7 +35,8 @@ _UNITS = {
     "time": "s, ms or us",
     "position": "rad, deg, turn, or of counts such as turn/4096",
     "velocity": "rad/s, deg/s, rpm",
-    "torque": 'N m; of a signal in V "V", constant = "... N m/V"',
+    "torque": 'N m; of a signal in V "V", constant = "... N m/V"; of thousandths of a rated '
+    'torque of 1.27 N m "0.00127 N m"',
     "current": "A or mA",
     "voltage": 'V; of a duty cycle "1/885", times = "supply", times_unit = "V"',
 }
@@ -50,20 +55,25 @@ def draft_configuration(
     output: Path | None,
     *,
     reference: str | None = None,
-    table: str | None = None,
+    layout: Mapping[str, Any] | None = None,
     joint: str | None = None,
     urdf: Path | None = None,
 ) -> dict[str, Any]:
-    """Write what ``init`` is asked for: ``text``, and for a log what is left open.
+    """Write what ``init`` is asked for: ``text``, and for a log its columns and what is left open.
 
-    ``reference`` is ``--all-keys``, ``--schema`` or none of them.
+    ``reference`` is ``--all-keys``, ``--schema`` or none of them; ``layout`` has keys of the table.
     """
+    layout = layout or {}
+    try:
+        options = TableOptions.model_validate(layout)
+    except ValidationError as error:
+        raise configuration_error("--", "--from", error, layout, TableOptions) from None
     if (preset == "arm") != (urdf is not None) or (urdf and not log):
         raise BadInput("init arm", "wants a log and a URDF", "add --from LOG --urdf ROBOT.urdf")
     if log is not None and urdf is not None:
-        return _arm_configuration(log, urdf, table)
+        return _arm_configuration(log, urdf, layout)
     if log is not None:
-        return _log_configuration(log, preset, output, table, joint)
+        return _log_configuration(log, preset, output, options, joint)
     if reference is None:
         if preset is None:
             raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
@@ -109,18 +119,25 @@ def _template(name: str) -> Template:
 
 
 def _log_configuration(
-    path: Path, preset: str | None, output: Path | None, table: str | None, joint: str | None
+    path: Path, preset: str | None, output: Path | None, options: TableOptions, joint: str | None
 ) -> dict[str, Any]:
-    """Write a configuration for a log: ``text``, ``open`` keys, and what is ``unknown``.
+    """Write a configuration for a log: ``text``, ``columns``, ``open`` keys, what is ``unknown``.
 
     ``presets`` are alternatives if none was named. File names are relative to ``output``.
     """
-    log = recognise(read_table(path, TableOptions.model_validate({"table": table})), joint)
+    table = read_table(path, options)
+    log = recognise(table, joint)
+    columns = list(_columns(table.only(log.where), log))
+    if len(columns) == 1:
+        hint = "write time, position and torque into one table, a column each"
+        raise BadInput(str(path), "has one column, which is no log of a joint", hint)
+    layout = options.model_dump(exclude_defaults=True)
+    layout |= {"decimal": table.decimal} if table.decimal != "." else {}
     chosen = preset or "motor-axis"
     file = path if output is None else Path(os.path.relpath(path, output.parent))
     geared = chosen in PRESETS and PRESETS[chosen].chain().ratio != 1
     channels = _channels(log, geared)
-    text = configuration(chosen, log, file=str(file), table=table, channels=channels)
+    text = configuration(chosen, log, file=str(file), layout=layout, channels=channels)
     open_keys = {
         f"{channel}.{key}": value
         for channel, keys in channels.items()
@@ -129,7 +146,9 @@ def _log_configuration(
     }
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
-    unknown = []
+    unknown = list(log.problems)
+    if "position" not in channels:
+        unknown.append("the position: no column is named so, and the velocity will be integrated")
     if preset is None:
         unknown.append(f"the mechanism: {chosen} is used, as no PRESET was named")
     if geared:
@@ -143,16 +162,100 @@ def _log_configuration(
         "unknown": unknown,
         "joint": log.joint,
         "joints": list(log.joints),
+        "columns": columns,
+        "notes": list(table.notes),
     }
 
 
-def _arm_configuration(log: Path, urdf: Path, table: str | None) -> dict[str, Any]:
+def _columns(table: Table, log: Log) -> Iterator[dict[str, Any]]:
+    """Describe every column: unit, range, holes, what it is taken as, or else why it is not."""
+    channels = {column: (channel, unit) for channel, (column, unit) in log.chosen.items()}
+    stamped = {clock: name for name, clock in table.clocks.items()}
+    for number, name in enumerate(table.names, start=1):
+        written = table.units[number - 1] if table.units else ""
+        try:
+            cells = table.cells(name or number)
+        except BadInput as error:
+            yield {"column": name or number, "unit": written, "why": error.problem}
+            continue
+        parts: list[str | int] = [name or number]
+        if cells.ndim == 2:
+            parts = [f"{name}[{k}]" for k in range(cells.shape[1])]
+            if any(other.startswith((f"{name}[", f"{name}.")) for other in table.names):
+                continue  # its parts are columns themselves
+        for key in parts:
+            meaning = named(str(key), written)
+            channel, unit = channels.get(str(key), ("", meaning.unit or written))
+            row = {"column": key, "unit": unit, **_content(table, key)}
+            if channel:
+                yield row | {"taken": channel}
+            elif "why" in row:
+                yield row
+            elif key in stamped:
+                yield row | {"why": f"time stamps of {stamped[str(key)]}"}
+            else:
+                yield row | {"why": _why_not(row, meaning, log)}
+
+
+def _content(table: Table, key: str | int) -> dict[str, Any]:
+    """Describe the numbers of a column, or why they are none."""
+    try:
+        values, holes = table.values(key), table.holes(key)
+    except BadInput as error:
+        return {"why": error.problem}
+    numbers = values[np.isfinite(values)]
+    content: dict[str, Any] = {"rows": values.size, "holes": int(holes.sum())}
+    if not numbers.size:
+        return content | {"why": "is empty" if holes.all() else "holds no numbers"}
+    moves = bool(np.ptp(numbers) > 0.0)
+    content |= {"low": float(numbers.min()), "high": float(numbers.max()), "moves": moves}
+    other = values.size - numbers.size - content["holes"]
+    return content | ({"why": f"{other} cells hold something else than numbers"} if other else {})
+
+
+def _why_not(row: Mapping[str, Any], meaning: Named, log: Log) -> str:
+    """Say why a column of numbers is not taken."""
+    if not meaning.channel:
+        return "its name is not known" if isinstance(row["column"], str) else "has no name"
+    if meaning.wanted:
+        return "a command, not a measurement"
+    if not row["moves"]:
+        return "constant"
+    if meaning.joint != log.joint and meaning.joint in log.joints:
+        return f"of joint {meaning.joint}"
+    drives = ("torque", *_CONSTANTS)
+    rivals = drives if meaning.channel in drives else (meaning.channel,)
+    taken = next((f"{log.chosen[key][0]} is taken" for key in rivals if key in log.chosen), "")
+    return taken or ("does not increase" if meaning.channel == "time" else "not of this joint")
+
+
+def columns_text(draft: dict[str, Any], limit: int = 40) -> list[str]:
+    """List the columns of a log as a table, those that are taken first if there are many."""
+    columns = draft.get("columns", [])
+    if len(columns) > limit:
+        columns = sorted(
+            columns, key=lambda row: ("taken" not in row, "known" in row.get("why", ""))
+        )
+    rows = [("column", "from", "to", "unit", "holes", "taken as, or why not")]
+    for row in columns[:limit]:
+        name = str(row["column"])
+        low, high = (f"{row[key]:.4g}" if key in row else "" for key in ("low", "high"))
+        holes = f"{row['holes']} of {row['rows']}" if row.get("holes") else ""
+        meaning = row.get("taken") or f"- {row['why']}"
+        rows.append(
+            (name if len(name) <= 48 else f"…{name[-47:]}", low, high, row["unit"], holes, meaning)
+        )
+    more = [f"… {len(columns) - limit} more: --json"] if len(columns) > limit else []
+    return [*(aligned(rows) if columns else ()), *more, *draft.get("notes", ())]
+
+
+def _arm_configuration(log: Path, urdf: Path, layout: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``arm.toml``: ``text`` and ``open`` keys."""
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.arm_log import layout_of
 
     joints = Arm(urdf).bodies.joints
-    recording, labels = layout_of(log, joints, table, in_order=True)
+    recording, labels = layout_of(log, joints, layout, in_order=True)
     variables = {"recording": recording, "labels": labels, "joints": list(joints)}
     text = _template("arm.toml.j2").render(urdf=urdf, log=log, **variables)
     units = {f"{k}.unit": OPEN for k, v in recording.items() if OPEN in str(v)}
@@ -181,12 +284,13 @@ def _others(preset: str) -> list[str]:
 
 
 def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
-    """Return the keys of every channel; position and torque always."""
+    """Return the keys of every channel; torque always, and position if there is no velocity."""
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
     channels = {}
     for channel in ("time", "position", "velocity", drive):
         column, unit = log.chosen.get(channel, (OPEN, ""))
-        if column != OPEN or channel in ("position", drive):
+        required = channel == drive or (channel == "position" and "velocity" not in log.chosen)
+        if column != OPEN or required:
             side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
             keys = {"column": column, "unit": unit or OPEN}
             channels[channel] = keys | side | _CONSTANTS.get(channel, {})

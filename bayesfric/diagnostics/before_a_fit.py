@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.diagnostics.statistics import LEAST_OUTPUTS
+from bayesfric.diagnostics.statistics import least_outputs
 from bayesfric.estimates.autoregression import CORRELATED, lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimate
@@ -44,12 +44,14 @@ def doubts_before(totals: Estimate, observations: Sequence[Signals]) -> list[dic
 
 
 def few_outputs(observations: Sequence[Signals], parameters: int) -> Iterator[dict[str, Any]]:
-    """Report too few outputs to test the model, and how long a recording would suffice."""
-    outputs, wanted = sum(o.measured.size for o in observations), parameters + LEAST_OUTPUTS
+    """Report too few outputs to test the model, and how many times as many would suffice."""
+    outputs, wanted = (
+        sum(o.measured.size for o in observations),
+        parameters + least_outputs(observations),
+    )
     if outputs < wanted:
-        duration = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
         counts = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
-        yield {"kind": "few", **counts, "seconds": duration * wanted / outputs}
+        yield {"kind": "few", **counts, "times": wanted / outputs}
 
 
 def against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[dict[str, Any]]:

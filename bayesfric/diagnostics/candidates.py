@@ -52,6 +52,8 @@ class Kind:
     loss: bool = False  # whether it is friction, and so scaled by the model's losses
     # whether it is a function of speed, which the friction law absorbs
     of_speed: bool = False
+    # whether it depends on where the joint stands, which an integrated velocity does not show
+    of_position: bool = False
     # whether it is a fault of the recorded torque, which no term models
     of_recording: bool = False
     # least share of the torque's rms
@@ -132,6 +134,7 @@ def _presliding(m: MotionSignals) -> Sets:
     return {
         f"{100 * x:.2g}%": [deflection(m.o.q, x * m.scales.reach) - m.direction]
         for x in (0.003, 0.01, 0.03, 0.1, 0.3)
+        if m.scales.reach  # points at constant speed have no path
     }
 
 
@@ -200,7 +203,7 @@ def _current_column(m: MotionSignals) -> Sets:
     return {
         "the supply's": [*(x * np.abs(v) for x in regressors), m.torque * np.abs(m.torque)],
         "the supply's without a sign": [*(x * v for x in regressors), m.torque**2],
-        "signed by power": [x * m.direction for x in regressors],
+        'signed by power (sign = "by-speed")': [x * m.direction for x in regressors],
         "without a sign": [x * sign for sign in signs for x in regressors],
     }
 
@@ -241,11 +244,13 @@ KINDS: tuple[Kind, ...] = (
     _friction("load_speed", _by_load(lambda m, carried: [np.abs(carried) * m.o.qd]),
               option="load_speed", positive=True),
     Kind("inertia", lambda m: m.o.qdd, option="inertia"),
-    Kind("gravity", lambda m: _rotary(m, np.sin(m.o.q), np.cos(m.o.q)), option="gravity_angle"),
-    Kind("spring", partial(_of_table, "spring"), option="spring"),
-    _friction("friction_by_angle", _friction_by_angle, option="periodic_friction"),
-    Kind("inertia_by_angle", _inertia_by_angle),
-    Kind("repeating", _waves, option="cogging"),
+    Kind("gravity", lambda m: _rotary(m, np.sin(m.o.q), np.cos(m.o.q)), option="gravity_angle",
+         of_position=True),
+    Kind("spring", partial(_of_table, "spring"), option="spring", of_position=True),
+    _friction("friction_by_angle", _friction_by_angle, option="periodic_friction",
+              of_position=True),
+    Kind("inertia_by_angle", _inertia_by_angle, of_position=True),
+    Kind("repeating", _waves, option="cogging", of_position=True),
     Kind("elastic", lambda m: m.elastic,
          nuisance=lambda m: [*m.rate(np.concatenate([*m.elastic.values()]))]),
     Kind("backlash", _backlash),
@@ -264,7 +269,7 @@ KINDS: tuple[Kind, ...] = (
     # so many columns always fit a little: simulated recordings of another current have at least 0.4
     # of the torque, measured ones of the right current up to 0.14
     _fault("current_column", _current_column, least=0.3),
-    _fault("torque_constant_by_angle", lambda m: _waves(m, m.torque)),
+    _fault("torque_constant_by_angle", lambda m: _waves(m, m.torque), of_position=True),
 )
 # fmt: on
 BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
@@ -273,9 +278,10 @@ BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
     """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
+        size = 0.0 if kind.of_position and motion.recording.integrated else 1.0
         for shape, columns in kind.shapes(motion).items():
             for number, column in enumerate(columns):
-                yield Key(kind.name, shape, number), column
+                yield Key(kind.name, shape, number), size * column
         for number, column in enumerate(kind.nuisance(motion)):
             yield Key(kind.name, "", number, nuisance=True), column
     for delay, pair in delay_columns(motion).items():

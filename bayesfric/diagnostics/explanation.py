@@ -11,7 +11,7 @@ from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.motion import TURNS
 from bayesfric.diagnostics.regression import Finding, Replicate, regression_of
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
-from bayesfric.diagnostics.statistics import LEAST_OUTPUTS, LONGEST
+from bayesfric.diagnostics.statistics import LONGEST, Columns, least_outputs
 from bayesfric.estimates.input_error import few_threads
 from bayesfric.estimates.point_estimate import HALF as MOVES
 from bayesfric.inference.discrepancy import Missing
@@ -98,7 +98,9 @@ class Explanation:
 
 def too_few_outputs(chain: Joint, observations: Sequence[Signals]) -> Reason | None:
     """Return the reason why recordings cannot be evaluated, if there is one beforehand."""
-    few = sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS
+    few = sum(o.measured.size for o in observations) < len(chain.names) + least_outputs(
+        observations
+    )
     return "few" if few else None
 
 
@@ -270,10 +272,10 @@ def calibration_check(
     replicates = () if reason else explained.replicates
     columns = [target.likelihood.chain.names.index(name) for name in target.free]
     truth = np.tile(posterior.median, (len(replicates), 1))
-    for row, replicate in zip(truth, replicates, strict=True):  # the noise stays the posterior's
-        row[: len(columns)] = replicate.values[columns]
+    for row, (values, _) in zip(truth, replicates, strict=True):  # the noise stays the posterior's
+        row[: len(columns)] = values[columns]
     near_truth, (steps, unexplained) = truth.copy(), np.ones((2, len(truth)))
-    for k, replicate in enumerate(replicates):
+    for k, (_, replicate) in enumerate(replicates):
         fit = _fit(target, truth[k], replicate, columns, explained.share)
         near_truth[k], steps[k], unexplained[k] = fit
     seconds = time.perf_counter() - begun, time.process_time() - worked
@@ -283,7 +285,7 @@ def calibration_check(
 
 
 def _fit(
-    target: Target, truth: Array, replicate: Replicate, columns: Sequence[int], share: float
+    target: Target, truth: Array, replicate: Columns, columns: Sequence[int], share: float
 ) -> tuple[Array, float, float]:
     """Take one Gauss-Newton step from the true parameters ``(d,)`` of a replicate.
 

@@ -14,7 +14,7 @@ from scipy import fft
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State, TypicalSizes
-from bayesfric.recordings.arrays import Array, Segments
+from bayesfric.recordings.arrays import Array, Segments, rms
 from bayesfric.recordings.filters import derivative, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.signals import Signals
@@ -38,7 +38,8 @@ class Scales:
 
     speed: float  # 95 % quantile of its absolute value, rad/s or m/s
     reach: float  # twice the median distance from the last reversal, rad or m
-    # rms of the measured torque, and of the model's terms other than inertia, gravity and springs
+    # rms of the measured torque (the inertia's, if the motor is off), and of the model's terms
+    # other than inertia, gravity and springs
     torque: float
     lost: float
     duration: float  # s, of the longest recording
@@ -80,8 +81,8 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> S
     return Scales(
         speed=float(np.quantile(np.abs(of_outputs([o.qd for o in observations])), 0.95)),
         reach=2.0 * float(np.median(of_outputs(away))),
-        torque=_rms(np.concatenate([o.measured for o in observations])),
-        lost=_rms(of_outputs(lost)),
+        torque=rms(np.concatenate([o.measured for o in observations])) or rms(moving),
+        lost=rms(of_outputs(lost)),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles={
             name: k
@@ -91,15 +92,11 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> S
         names=tuple(o.name for o in observations),
         others=tuple(name for name in others if f"load.{name}" not in chain.names),
         inertia=inertia,
-        need=_rms(carried) / inertia,
+        need=rms(carried) / inertia,
         band=max(float(o.settings["band"]) for o in observations)
         or 0.3 / max(o.period for o in observations),
-        weighs=max(float(np.ptp(x)) for x in weights) > 1e-3 * _rms(carried),
+        weighs=max(float(np.ptp(x)) for x in weights) > 1e-3 * rms(carried),
     )
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 
 
 def _carried(chain: Joint, values: Array, o: Signals, *, still: bool = False) -> Array:
@@ -126,7 +123,9 @@ class MotionSignals:
 
     @cached_property
     def torque(self) -> Array:
-        """Motor torque of the model, N m or N."""
+        """Motor torque of the model, N m or N; 0 where the motor is off."""
+        if not self.recording.torque.any():
+            return np.zeros_like(self.o.q)
         return _torque(self.chain, self.values, self.o)
 
     @cached_property
@@ -180,11 +179,13 @@ class MotionSignals:
         band have at most 0.05 above it, others at least 0.4.
         """
         segments, fs = self.recording.segments, 1.0 / self.recording.period
+        if not np.ptp(self.recording.torque):  # it is known, not recorded
+            return 0.0
         signals = np.stack([self.o.torque, self.torque - self.carried])
         silent = 0.0
         for f in self.cutoffs:
             fast = signals - lowpass(signals, segments, fs, f, ORDER)
-            recorded, friction = map(_rms, fast[:, self.o.filter.centres])
+            recorded, friction = map(rms, fast[:, self.o.filter.centres])
             if recorded > 0.1 * friction:
                 break
             silent = f

@@ -35,7 +35,6 @@ from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
     DELAYS,
     FALSE_ALARMS,
-    LEAST_OUTPUTS,
     MAX_EFFECTS,
     MEAN_AS_SPREAD,
     OPEN,
@@ -52,6 +51,7 @@ from bayesfric.diagnostics.statistics import (
     basis_of,
     candidate_groups,
     choose_autocorrelation,
+    least_outputs,
     mean_square,
     project_out,
     score_candidates,
@@ -126,16 +126,10 @@ class Finding:
         return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
-@dataclass(frozen=True, eq=False)
-class Replicate:
-    """A simulated recording with known parameters and no torque noise."""
-
-    values: Array  # (n_parameters,) true parameters
-    # (n, n_parameters) derivatives of its outputs there, and (n,) residual of the model: the error
-    # of encoder and filters
-    base: Array
-    residual: Array
-    layout: Layout
+# A simulated recording with known parameters and no torque noise: the true parameters
+# (n_parameters,), and columns without candidates, whose residual is the error of encoder and
+# filters.
+Replicate = tuple[Array, Columns]
 
 
 @dataclass(eq=False)
@@ -177,9 +171,13 @@ class Regression:
                 best, self.noise, chosen = bic, noise, extra
         self._add_noise(self.noise, chosen)
         self.replicates = [
-            replace(t, autocorrelation=choose_autocorrelation(t.residual_with(chosen), t.layout)[0])
-            for t in self.replicates
+            replace(t, autocorrelation=self._noise_of(t, chosen)) for t in self.replicates
         ]
+
+    def _noise_of(self, d: Columns, extra: Sequence[int]) -> Autocorrelation:
+        """Choose the noise about its mean: the autocorrelation would absorb an offset."""
+        mean = [i for key, columns in self.groups if key.kind == "offset" for i in columns]
+        return choose_autocorrelation(d.residual_with([*extra, *mean]), d.layout)[0]
 
     def _add_noise(self, noise: Autocorrelation, extra: Sequence[int]) -> None:
         """Add noise so that the replicates' residual is as large as the recording's."""
@@ -245,8 +243,7 @@ class Regression:
         candidates would explain what it removed. The gains of all are returned, too.
         """
         if not for_noise:
-            residual = self.data.residual_with(extra)
-            noise, _ = choose_autocorrelation(residual, self.data.layout)
+            noise = self._noise_of(self.data, extra)
             self.data = replace(self.data, autocorrelation=noise)
         arguments = self.groups, extra, self.scales.transient_width
         recorded = score_candidates(self.data, *arguments)
@@ -501,7 +498,7 @@ def regression_of(
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
-        if len(usable) == len(repeated) and outputs >= len(chain.names) + LEAST_OUTPUTS:
+        if len(usable) == len(repeated) and outputs >= len(chain.names) + least_outputs(usable):
             simulated.append((vector, columns_at(vector, usable)))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")
@@ -512,7 +509,9 @@ def regression_of(
     }
     columns, cutoff = [d for _, d in simulated], f"{smoothed:.3g} Hz"
     regression = Regression(data, columns, scales, sizes, gradients, noise, cutoff)
-    return regression, tuple(Replicate(v, d.base, d.residual, d.layout) for v, d in simulated)
+    return regression, tuple(
+        (v, replace(d, others=np.empty((len(d.base), 0)), keys=())) for v, d in simulated
+    )
 
 
 def draw_parameters(

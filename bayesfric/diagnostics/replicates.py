@@ -84,8 +84,8 @@ def replicate_motion(
 ) -> tuple[Array, Array, Array]:
     """Return position, speed and torque ``(N,)`` of the recorded motion ``phase`` samples late."""
     o, period = observation, recording.period
-    q, qd, qdd = np.empty((3, recording.time.size))
-    for a, b in recording.segments:
+    q, qd, qdd = np.stack([o.q, o.qd, o.qdd])
+    for a, b in () if recording.steady else recording.segments:
         place = np.arange(b - a, dtype=np.float64)
         # of degree five its second derivative is as exact as the filters'
         spline = make_interp_spline(place, o.q[a:b], min(5, b - a - 1))
@@ -114,7 +114,9 @@ def _measure(
     noise = float(observation.settings["noise_seen"])
     noisy_position = recording.velocity is None
     position = _quantise(recording.position, q, noise if noisy_position else 0.0, rng)
-    velocity = None if recording.velocity is None else _quantise(recording.velocity, qd, noise, rng)
+    velocity = recording.velocity
+    if velocity is not None:  # the speeds of steady points have no noise
+        velocity = qd if recording.steady else _quantise(velocity, qd, noise, rng)
     # the replicate's torque passes no filter of the drive
     raw: dict[str, Any] = {"held": False, "torque_lag": None, "velocity_lag": None}
     return replace(recording, position=position, velocity=velocity, torque=torque, **raw)

@@ -32,8 +32,9 @@ FALSE_ALARMS = 0.05
 # Simulated replicates; and samples of all recordings that are evaluated in full. Longer recordings
 # are subsampled to half as many, so that a fit or check ends in reasonable time.
 REPLICATES, LONGEST = 24, 100_000
-# Outputs that a recording or replicate must have beyond the model's parameters.
-LEAST_OUTPUTS = 20
+# Outputs that a recording or replicate must have beyond the model's parameters; fewer of points at
+# constant speed, whose noise has no autocorrelation.
+LEAST_OUTPUTS, LEAST_POINTS = 20, 6
 # Share of a candidate's columns that must be left after projecting out the model's own columns;
 # below it, this motion does not identify the candidate.
 TESTABLE = 0.015
@@ -50,6 +51,11 @@ DELAYS = DELAY, TARGET_DELAY
 
 
 # Autocorrelated noise
+
+
+def least_outputs(observations: Sequence[Signals]) -> int:
+    """Return the outputs that are needed beyond the model's parameters."""
+    return LEAST_POINTS if all(o.steady for o in observations) else LEAST_OUTPUTS
 
 
 @dataclass(frozen=True, eq=False)

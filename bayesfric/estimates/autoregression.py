@@ -124,37 +124,38 @@ def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
     n, m = x.shape
     p = phi.size
     out = np.empty((n, m))
-    state = np.zeros((p, m))
-    cov = stationary.copy()
-    u = np.empty(p)
+    state, cov, u = np.empty((p, m)), np.empty((p, p)), np.empty(p)
     logs = 0.0
     for i in range(n):
-        if i:
-            gap = at[i] - at[i - 1]
-            if gap < 1 or gap > 300:
-                state[:] = 0.0
-                cov[:] = stationary
-            else:
-                for _ in range(gap):
-                    for j in range(m):
-                        first = 0.0
-                        for k in range(p - 1, -1, -1):
-                            first += phi[k] * state[k, j]
-                            state[k, j] = state[k - 1, j] if k else first
-                    for k in range(p):
-                        u[k] = 0.0
-                        for j in range(p):
-                            u[k] += cov[k, j] * phi[j]
-                    variance = 1.0
-                    for k in range(p):
-                        variance += phi[k] * u[k]
-                    for k in range(p - 1, 0, -1):
-                        for j in range(p - 1, 0, -1):
-                            cov[k, j] = cov[k - 1, j - 1]
-                    for k in range(1, p):
-                        cov[0, k] = u[k - 1]
-                        cov[k, 0] = u[k - 1]
-                    cov[0, 0] = variance
+        gap = at[i] - at[i - 1] if i else 0
+        # by loops: assignments of slices take the compiler three seconds
+        if gap < 1 or gap > 300:
+            for k in range(p):
+                for j in range(m):
+                    state[k, j] = 0.0
+                for j in range(p):
+                    cov[k, j] = stationary[k, j]
+        else:
+            for _ in range(gap):
+                for j in range(m):
+                    first = 0.0
+                    for k in range(p - 1, -1, -1):
+                        first += phi[k] * state[k, j]
+                        state[k, j] = state[k - 1, j] if k else first
+                for k in range(p):
+                    u[k] = 0.0
+                    for j in range(p):
+                        u[k] += cov[k, j] * phi[j]
+                variance = 1.0
+                for k in range(p):
+                    variance += phi[k] * u[k]
+                for k in range(p - 1, 0, -1):
+                    for j in range(p - 1, 0, -1):
+                        cov[k, j] = cov[k - 1, j - 1]
+                for k in range(1, p):
+                    cov[0, k] = u[k - 1]
+                    cov[k, 0] = u[k - 1]
+                cov[0, 0] = variance
         variance = cov[0, 0]
         sd = math.sqrt(variance)
         logs += math.log(variance)

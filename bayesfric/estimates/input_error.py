@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from itertools import cycle, islice
-from typing import NamedTuple
+from operator import itemgetter
 
 import numba
 import numpy as np
@@ -47,7 +47,7 @@ from bayesfric.estimates.torque import (
 )
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.signals import Signals
 
 # Splits of the totals to start from: load-dependent friction, and the motor's share.
@@ -151,11 +151,8 @@ def contradicted(
     return far
 
 
-class Minimum(NamedTuple):
-    """Where a search ended."""
-
-    x: Array  # (d,) free parameters
-    cost: float  # half the sum of squares there
+# Where a search ended: half the sum of squares, and free parameters (d,).
+Minimum = tuple[float, Array]
 
 
 class TorqueProblem:
@@ -260,9 +257,9 @@ class TorqueProblem:
         def jacobian(part: Array) -> Array:
             return self.jacobian(point(part))[:, moving]
 
-        start = Minimum(x, 0.5 * float(np.sum(self.residual(x) ** 2)))
-        if not moving.size or not np.isfinite(start.cost):
-            return start
+        cost = 0.5 * float(np.sum(self.residual(x) ** 2))
+        if not moving.size or not np.isfinite(cost):
+            return cost, x
         result = optimize.least_squares(
             residual,
             x[moving],
@@ -274,13 +271,13 @@ class TorqueProblem:
             gtol=1e-12,
             max_nfev=steps + 1,
         )
-        minimum = Minimum(point(result.x), float(result.cost))
-        met = self.bounds_met(minimum.x)
+        cost, x = float(result.cost), point(result.x)
+        met = self.bounds_met(x)
         met[list(held)] = 0
-        on_limits = np.where(met < 0, self.lower, np.where(met > 0, self.upper, minimum.x))
-        limited = Minimum(on_limits, 0.5 * float(np.sum(self.residual(on_limits) ** 2)))
-        rise = 1e-9 * minimum.cost + 0.5 * self.rounding
-        return limited if limited.cost <= minimum.cost + rise else minimum
+        on_limits = np.where(met < 0, self.lower, np.where(met > 0, self.upper, x))
+        limited = 0.5 * float(np.sum(self.residual(on_limits) ** 2))
+        rise = 1e-9 * cost + 0.5 * self.rounding
+        return (limited, on_limits) if limited <= cost + rise else (cost, x)
 
     def bounds_met(self, x: Array) -> NDArray[np.int_]:
         """Give -1 for each free parameter on its lower limit, 1 on its upper one, else 0."""
@@ -316,27 +313,28 @@ def _minima(
     minima = []
     for x in starts:
         minima.append(subsample.minimise(x))
-        if 2.0 * minima[-1].cost <= lowest:
+        if 2.0 * minima[-1][0] <= lowest:
             break
-    minima.sort(key=lambda minimum: minimum.cost)
+    minima.sort(key=itemgetter(0))
+    least = minima[0][0]
     # sums of squares of two minima differ by more than a share of the residual variance
-    variance = 2.0 * minima[0].cost / max(subsample.measured.size - len(subsample.free), 1)
+    variance = 2.0 * least / max(subsample.measured.size - len(subsample.free), 1)
     difference = 0.5 * (0.01 * variance + subsample.rounding)
-    agreeing = sum(minimum.cost <= minima[0].cost + difference for minimum in minima)
+    agreeing = sum(cost <= least + difference for cost, _ in minima)
     note = f"{agreeing} of {len(minima)} starts reached the minimum{note}"
     minima = _distinct(minima, lambda cost: cost + difference)[:3]
     if subsample is not problem:
         # a few steps decide which of them is the lowest of the whole
-        refits = [problem.minimise(minimum.x, steps=_FEW_STEPS) for minimum in minima]
-        minima = [problem.minimise(min(refits, key=lambda minimum: minimum.cost).x)]
+        refits = [problem.minimise(x, steps=_FEW_STEPS) for _, x in minima]
+        minima = [problem.minimise(min(refits, key=itemgetter(0))[1])]
     return minima, note
 
 
 def _distinct(minima: Sequence[Minimum], limit: Callable[[float], float]) -> list[Minimum]:
     """List minima, lowest first, whose costs are above the ``limit`` of the next lower one."""
     distinct: list[Minimum] = []
-    for minimum in sorted(minima, key=lambda minimum: minimum.cost):
-        if not distinct or minimum.cost > limit(distinct[-1].cost):
+    for minimum in sorted(minima, key=itemgetter(0)):
+        if not distinct or minimum[0] > limit(distinct[-1][0]):
             distinct.append(minimum)
     return distinct
 
@@ -382,7 +380,7 @@ def _trial_shapes(problem: TorqueProblem) -> dict[int, Array]:
     shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
     if not shaping:
         return {}
-    scales = typical_sizes(joint, problem.observations)
+    scales = typical_sizes(joint, problem.observations, problem.knowledge.fixed)
     trials = {}
     for k, p, tries in shaping:
         values = np.array(tries(sizes_at(joint, p.owner, scales)))
@@ -410,7 +408,7 @@ def _at_trial_shapes(
     ends = [problem.minimise(x, held=list(shapes), steps=_FEW_STEPS) for x in shifted]
     rounding = 0.5 * problem.rounding
     distinct = _distinct(ends, lambda cost: (1.0 + 1e-6) * cost + rounding)
-    return [end.x for end in distinct[:followed]], count
+    return [x for _, x in distinct[:followed]], count
 
 
 def _single_pass(problem: TorqueProblem) -> bool:
@@ -427,29 +425,25 @@ def _refined(
     Gives the weighted problem and its minimum ``(d,)``.
     """
     if _single_pass(problem):
-        return problem, minima[0].x
-    n, best = problem.measured.size, minima[0]
+        return problem, minima[0][1]
+    n, best = problem.measured.size, minima[0][1]
     several = len(problem.observations) > 1
     knows = bool(problem.knowledge.rows(problem.chain)[0].size)
     # another minimum of the first pass may be lower now
-    vectors = [_toward_priors(problem, problem.vector(minimum.x)) for minimum in minima]
+    vectors = [_toward_priors(problem, problem.vector(x)) for _, x in minima]
     starts = [problem.inside(vector) for vector in vectors]
     # sds from a fit that a noisy recording dominates are estimated again
     for _ in range(rounds if several else 1):
-        error = problem.torque_error(best.x)
-        weights = _recording_weights(problem, best.x, error) if several else np.ones(n)
-        sd = _rms(weights * error) * float(np.sqrt(n / max(n - len(problem.free), 1)))
-        sd = max(sd, _ROUNDING * _rms(problem.measured))
+        error = problem.torque_error(best)
+        weights = _recording_weights(problem, best, error) if several else np.ones(n)
+        sd = rms(weights * error) * float(np.sqrt(n / max(n - len(problem.free), 1)))
+        sd = max(sd, _ROUNDING * rms(problem.measured))
         previous, problem = problem.weights, problem.weighted(weights, sd if knows else 0.0)
-        best = min((problem.minimise(x) for x in starts), key=lambda minimum: minimum.cost)
-        starts = [best.x]
+        _, best = min((problem.minimise(x) for x in starts), key=itemgetter(0))
+        starts = [best]
         if np.allclose(weights, previous, rtol=1e-3, atol=0.0):
             break
-    return problem, best.x
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
+    return problem, best
 
 
 def _recording_weights(problem: TorqueProblem, x: Array, error: Array) -> Array:
@@ -464,10 +458,10 @@ def _recording_weights(problem: TorqueProblem, x: Array, error: Array) -> Array:
     left, singular, _ = np.linalg.svd(scaled, full_matrices=False)
     leverage = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
     leverages = np.array([part.sum() for part in np.split(leverage, borders)])
-    sds = np.array([_rms(part) for part in np.split(error, borders)])
+    sds = np.array([rms(part) for part in np.split(error, borders)])
     sds *= np.sqrt(counts / np.maximum(counts - leverages, 1e-3 * counts))
     # residuals of a recording without noise are rounding, and must not dominate
-    sds = np.maximum(sds, max(1e-3 * sds.max(), _ROUNDING * _rms(problem.measured)))
+    sds = np.maximum(sds, max(1e-3 * sds.max(), _ROUNDING * rms(problem.measured)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
 
 
@@ -532,7 +526,7 @@ def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
     return Estimate(
         method="input-error",
         values=assemble(joint, observations, knowledge, values, information, at_bound),
-        residual_rms=_rms(error),
+        residual_rms=rms(error),
         n_outputs=error.size,
         assumption=assumption,
         residual_unit="N m" if joint.motor_motion == "rotary" else "N",

@@ -5,7 +5,7 @@ With them, starts of a search and the typical sizes that default priors are scal
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -22,10 +22,11 @@ from bayesfric.estimates.torque import (
     minimum_norm,
     places,
 )
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, TypicalSizes, effort_words
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.signals import Signals
 
 # Quantile that is taken for the largest: a glitch must not set a scale.
@@ -93,7 +94,8 @@ def least_squares(
     )
     values = []
     for i, name in enumerate(names):
-        sds = information.sds(np.eye(len(names))[i])
+        # torques that balance without the motor determine only ratios
+        sds = information.sds(np.eye(len(names))[i]) if torque.any() else (np.inf, np.inf)
         description = projection.labels[i], *projection.describe(name)
         values.append(EstimatedValue(*description, float(solution[i]), *sds))
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
@@ -269,9 +271,16 @@ def totals_regressors(joint: Joint, observations: Sequence[Signals]) -> tuple[li
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))
 
 
-def typical_sizes(joint: Joint, observations: Sequence[Signals]) -> TypicalSizes:
-    """Take the scales from all recordings together."""
+def typical_sizes(
+    joint: Joint, observations: Sequence[Signals], known: Mapping[str, float]
+) -> TypicalSizes:
+    """Take the scales from all recordings together, with the ``known`` parameters.
+
+    Where the motor is off, the known terms' torque is in place of the motor's.
+    """
     torque = np.concatenate([o.measured for o in observations])
+    if not torque.any():
+        torque = known_torque(joint, observations, known)
     # only where outputs are: an excluded glitch must not set a scale
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
     acceleration = np.concatenate([o.acceleration for o in observations])
@@ -282,14 +291,28 @@ def typical_sizes(joint: Joint, observations: Sequence[Signals]) -> TypicalSizes
         # from an unknown zero the angle may be any
         lean=1.0 if any(p.circular for p in joint.parameters) else lean or 1.0,
         exchanged=_surely_taken(joint, observations),
-        speed=_rms(speed),
+        speed=rms(speed),
         # a motion changes its speed at least once in all recordings
-        acceleration=max(_rms(acceleration), _rms(speed) / duration),
+        acceleration=max(rms(acceleration), rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         position_step=min(o.position_step for o in observations),
         columns={joint.names[c.index]: _rms_of(c, observations) for c in joint.carried},
     )
+
+
+def known_torque(
+    joint: Joint, observations: Sequence[Signals], known: Mapping[str, float]
+) -> Array:
+    """Compute the torque ``(n_outputs,)`` of known parameters, masses and load torques alone."""
+    undelayed = replace(joint, delay=False, own_offsets=())
+    values = np.array([known.get(name, 0.0) for name in undelayed.names])
+    return np.concatenate([
+        o.filter.apply(
+            inverse_torque(undelayed, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
+        )
+        for o in observations
+    ])  # fmt: skip
 
 
 def sizes_at(joint: Joint, owner: str, scales: TypicalSizes) -> TypicalSizes:
@@ -323,8 +346,4 @@ def _rms_of(carried: CarriedTerm, observations: Sequence[Signals]) -> float:
     arguments = [
         (o.q[k], o.qd[k], o.stamps[k], o.inputs) for k, o in zip(at, observations, strict=True)
     ]
-    return _rms(np.concatenate([along(carried.row, carried.reach, *a) for a in arguments]))
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
+    return rms(np.concatenate([along(carried.row, carried.reach, *a) for a in arguments]))

@@ -94,8 +94,8 @@ class FittedModel:
             for part in np.array_split(np.arange(n), 4):
                 weights = np.ones(n)
                 weights[part] = 0.0
-                fit = problem.weighted(weights).minimise(start, steps=10)
-                squares += float(np.sum(problem.torque_error(fit.x)[part] ** 2))
+                _, x = problem.weighted(weights).minimise(start, steps=10)
+                squares += float(np.sum(problem.torque_error(x)[part] ** 2))
         return math.sqrt(squares / n)
 
 

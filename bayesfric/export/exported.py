@@ -172,7 +172,7 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
     fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), few, load)
     # the torque that held the joint at standstill is a lower limit of its static friction
     law_friction = fitted["static_friction"]
-    held = max((rest.held for rest in run.summary.fit.rests), default=0.0)
+    held = max((rest["held"] for rest in run.summary.fit.rests), default=0.0)
     fitted["static_friction"] = np.maximum(law_friction, held * fitted["gain"])
     at_least = bool(fitted["static_friction"][0] > law_friction[0])
     numbers = {name: float(x[0]) for name, x in fitted.items()}

@@ -14,6 +14,7 @@ from bayesfric.diagnostics.before_a_fit import (
     few_outputs,
     little_explained,
 )
+from bayesfric.diagnostics.regression import Finding
 from bayesfric.fit.model import Model
 from bayesfric.inference.noise import SCALES
 from bayesfric.report.numbers import TEXT
@@ -65,11 +66,13 @@ def check(model: Model | Path | str) -> CheckReport:
 
 
 def _record(model: Model) -> dict[str, Any]:
-    explained, auto = model.explain(), model.config.tables.mechanism.auto
-    # effects that a fit adds are no doubts; what remains is evaluated again then
-    included = explained.applicable if auto else ()
+    included: tuple[Finding, ...] = ()
+    if model.config.tables.mechanism.auto:
+        model, included, explained = model.completed()
+    else:
+        explained = model.explain()
     (totals,) = model.estimates(["least-squares"])
-    findings = [finding.as_dict() for finding in explained.findings if finding not in included]
+    findings = [finding.as_dict() for finding in explained.findings]
     (estimate,) = model.estimates(["input-error"])
     doubts = [
         *against_prior(model.contradicted(dict(estimate.point))),
@@ -127,7 +130,10 @@ def _lines(record: Mapping[str, Any], verbose: bool) -> Iterator[str]:
         rate = f" at {settings['sampling_rate']:.4g} Hz" if settings.get("sampling_rate") else ""
         band = f", compared up to {settings['band']:.3g} Hz" if settings.get("band") else ""
         held = f", {recording['held_out']} held out" if recording["held_out"] else ""
-        yield shortened(f"{recording['name']}: {recording['duration']:.4g} s{rate}{band}{held}")
+        size = f"{recording['duration']:.4g} s"
+        if settings.get("steady"):
+            size = f"{settings['n_samples']} points at constant speed"
+        yield shortened(f"{recording['name']}: {size}{rate}{band}{held}")
         if verbose:
             yield from _steps(recording)
     if verbose:

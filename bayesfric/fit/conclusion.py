@@ -12,10 +12,10 @@ from bayesfric.diagnostics.explanation import CalibrationCheck, Explanation, cal
 from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.identifiability.identification import OpenDirection, SpeedTerm, identify, speed_term
+from bayesfric.identifiability.identification import OpenDirection, identify, speed_term
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import NoiseChoice
-from bayesfric.inference.posterior import StictionViolation, stiction_violations
+from bayesfric.inference.posterior import stiction_violations
 from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
@@ -77,7 +77,7 @@ def conclude(
     directions: list[OpenDirection] = []
     with suppress(BadInput):  # the median may be impossible to simulate
         directions += identify(start.target, posterior.median).directions
-    violations: list[StictionViolation] = []
+    violations: list[dict[str, Any]] = []
     if posterior.diagnostics.status != "unusable":
         violations += stiction_violations(
             target, fit.wide.posterior, fit.residuals, recordings, tables.processing
@@ -120,12 +120,12 @@ def may_be_simulated(config: Config, recordings: Sequence[Measurement]) -> bool:
     )
 
 
-def _with_back_emf(summary: Summary, term: SpeedTerm | None) -> Summary:
+def _with_back_emf(summary: Summary, term: Mapping[str, Any] | None) -> Summary:
     """Add what an error of the nominal back-EMF is collinear with, for voltage drives."""
     if term is None:
         return summary
     changes = {
         name: {"meaning": line_of("with back-emf", {"meaning": summary.parameters[name].meaning})}
-        for name in term.same_as_back_emf
+        for name in term["same_as_back_emf"]
     }
     return summary.with_rows(changes, fit=summary.fit.model_copy(update={"back_emf": term}))

@@ -201,7 +201,7 @@ class Model:
 
         rows = {
             (estimate.method, name): row
-            for estimate in self.estimates(methods or METHODS)
+            for estimate in self.estimates(methods)
             for name, row in estimate_table(estimate).as_dict()["parameters"].items()
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
@@ -214,14 +214,15 @@ class Model:
         return frame.droplevel("method") if len(methods) == 1 else frame
 
     def estimates(
-        self, methods: Sequence[Method] = METHODS, *, progress: ProgressCallback = no_progress
+        self, methods: Sequence[Method] = (), *, progress: ProgressCallback = no_progress
     ) -> list[Estimate]:
         """Estimate the parameters by one or more methods.
 
         Parameters
         ----------
         methods
-            Which; the output error starts from the input error's result.
+            Which; the output error starts from the input error's result. By default all, without
+            the output error where a recording has no position.
         progress
             Progress callback.
 
@@ -230,6 +231,9 @@ class Model:
         BadInput
             If there is no such method, or one cannot be used with these recordings.
         """
+        if not methods:
+            simulates = not any(r.integrated for r in self.recordings)
+            methods = [name for name in METHODS if simulates or name != "output-error"]
         with self.config.named():
             shown = by_method(progress)
             new = estimate_by(methods, self.evidence, self._estimates, progress=shown)
@@ -795,7 +799,7 @@ class Result:
                     recording.saved(saved)
                     recordings[k] = replace(measured, path=folder / file, sha256=sha256(saved))
             origin = config.origin_of(recordings, folder if self.model.given else config.folder)
-            summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
+            summary = self.summary.model_copy(update={"source": origin})
             write_run(
                 folder,
                 self.fit,

@@ -109,7 +109,7 @@ def pool(
     names = [o.name for o in model.observations]
     progress(Progress("all recordings together"))
     joint = JointTarget(targets, names, vary, posteriors, settings.seed)
-    posterior = sample(joint, joint.start, settings)  # type: ignore[arg-type]
+    posterior = sample(joint, joint.start, settings)
     units = {p.name: p.unit for p in model.chain.parameters}
     draws = joint.widened(posterior, discrepancies)
     jointly = varying_parts(posterior, draws, names, vary, LEVEL)

@@ -21,6 +21,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,38 +208,24 @@ def covered(
 # What each recording covers: direction of power, range of position, acceleration
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """What one recording covers, at the point estimate."""
-
-    name: str
-    outputs: int
-    moving: float  # share of outputs in which the joint moves
-    # share of those in which the load drives each element with load-dependent friction
-    load_drives: dict[str, float]
-    turn: float  # range of the joint's position, rad or m
-    steady: float  # share of outputs in which inertia takes less than a twentieth of the torque
-    added_mass: float  # known mass on the load, kg
-    radius: float  # its distance from the axis, m
-
-
 def coverage_of(
     chain: Joint, observations: Sequence[Signals], values: Array
-) -> tuple[Coverage, ...]:
+) -> list[dict[str, Any]]:
     """Compute what every recording covers at ``values`` ``(n_parameters,)``."""
-    return tuple(
-        Coverage(
-            name=o.name,
-            outputs=int(o.measured.size),
-            moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
-            load_drives=back_driving(chain, [o], values),
-            turn=float(np.ptp(o.q[o.filter.centres])),
-            steady=_steady(chain, o, values),
-            added_mass=o.inputs.added_mass,
-            radius=o.inputs.radius,
-        )
+    return [
+        {
+            "name": o.name,
+            "outputs": int(o.measured.size),
+            # share of outputs in which the joint moves, and of those in which the load drives
+            "moving": float(np.mean(o.qd[o.filter.centres] != 0.0)),
+            "load_drives": back_driving(chain, [o], values),
+            "turn": float(np.ptp(o.q[o.filter.centres])),  # range of the position, rad or m
+            "steady": _steady(chain, o, values),
+            "added_mass": o.inputs.added_mass,  # known mass on the load, kg
+            "radius": o.inputs.radius,  # its distance from the axis, m
+        }
         for o in observations
-    )
+    ]
 
 
 def back_driving(chain: Joint, observations: Sequence[Signals], values: Array) -> dict[str, float]:

@@ -11,8 +11,9 @@ may determine even where they leave single parameters open.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy as np
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.templates import factor, percent
 from bayesfric.estimates.assemble import bounds_met
-from bayesfric.identifiability.friction_curve import Coverage, back_driving, coverage_of
+from bayesfric.identifiability.friction_curve import back_driving, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
@@ -35,20 +36,24 @@ from bayesfric.identifiability.local import (
 from bayesfric.identifiability.next_recording import (
     LAG,
     LINES,
+    designed_recording,
+    in_place_of,
     known_mass,
     longest_stretch,
+    prepared,
     sample_period,
     scaled_jacobian,
-    simulate_recording,
     square_with_sines,
     torque_noise,
 )
 from bayesfric.inference.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import experiment
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.measurement import Inputs, Measurement
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.signals import Signals
 from bayesfric.results.reported import KNOWN_BY, Determined, Status
 
 if TYPE_CHECKING:
@@ -68,16 +73,6 @@ Trial = tuple[RemedyKind, str, Array]
 
 
 @dataclass(frozen=True)
-class Remedy:
-    """A remedy for an open direction, and its effect."""
-
-    kind: RemedyKind
-    text: str  # what to do
-    parameters: tuple[str, ...]  # for a known value: any single one of these
-    log_sd_after: float | None  # sd of the logarithm along the direction; None for a known value
-
-
-@dataclass(frozen=True)
 class OpenDirection:
     """Parameters that can change together with little or no effect on the data."""
 
@@ -89,7 +84,9 @@ class OpenDirection:
     log_sd: float | None  # sd of the factor's logarithm; None for a null direction
     meaning: str
     reasons: tuple[str, ...]
-    remedies: tuple[Remedy, ...]
+    # kind, text, parameters (for a known value any single one of these) and log_sd_after: sd of the
+    # logarithm along the direction, None for a known value
+    remedies: tuple[dict[str, Any], ...]
 
     @property
     def null(self) -> bool:
@@ -125,10 +122,10 @@ class Identification:
     directions: tuple[OpenDirection, ...]  # null ones, then weak ones, the weakest first
     parameters: tuple[Prospect, ...]  # the free ones, in their order
     combinations: tuple[Prospect, ...]  # derived quantities, best known first
-    recordings: tuple[Coverage, ...]
+    recordings: list[dict[str, Any]]  # what each covers, see :func:`coverage_of`
     # share of the moving outputs in which the load drives each element
     back_driving: dict[str, float]
-    voltage: SpeedTerm | None  # where a torque comes from a voltage
+    voltage: dict[str, Any] | None  # of :func:`speed_term`
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -162,7 +159,7 @@ class Identification:
     def remarks(self) -> list[str]:
         """Sentences on back-driving and on a voltage."""
         sentences = map(self._back_driving, self.back_driving)
-        return [*sentences, self.voltage.meaning] if self.voltage else [*sentences]
+        return [*sentences, self.voltage["meaning"]] if self.voltage else [*sentences]
 
     def _back_driving(self, element: str) -> str:
         """Describe how often the load drives an element."""
@@ -173,7 +170,6 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        voltage = self.voltage
         fields = {
             "method": self.method,
             "noise": self.noise,
@@ -185,7 +181,7 @@ class Identification:
                 for name, share in self.back_driving.items()
             },
             "recordings": self.recordings,
-            "voltage": voltage and {**vars(voltage), "meaning": voltage.meaning},
+            "voltage": self.voltage,
         }
         return dict(jsonable(fields))
 
@@ -194,7 +190,9 @@ def _fields(record: Any, *names: str) -> dict[str, Any]:
     return {name: value for name, value in vars(record).items() if name not in names}
 
 
-def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None) -> Identification:
+def identify(
+    target: Target, estimate: Array, *, speed: dict[str, Any] | None = None
+) -> Identification:
     """Compute what the recordings determine at an estimate ``(d,)``, before anything is sampled.
 
     With J the Jacobian over the noise and P the priors' variances, the data's information is
@@ -266,7 +264,7 @@ def _status(determined: Determined, bound: str | None) -> Status:
 def open_directions(
     local: LocalInformation,
     free: Sequence[Parameter],
-    coverage: Sequence[Coverage],
+    coverage: Sequence[Mapping[str, Any]],
     back: Mapping[str, float],
     simulated: Sequence[Trial],
     known: Collection[str],
@@ -334,10 +332,10 @@ def _sparse_row(row: Array, null: Array) -> Array:
     return row
 
 
-def _scaling(coverage: Sequence[Coverage]) -> Iterator[str]:
+def _scaling(coverage: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Explain why leg and gearbox scale together (section 4.2 of the paper)."""
     mass = ", and every recording carries the same known mass, which counts as load"
-    loaded = all(recording.added_mass for recording in coverage)
+    loaded = all(recording["added_mass"] for recording in coverage)
     yield (
         "the torque at the motor holds only products of these (section 4.2 of the paper): a load "
         f"twice as heavy behind a gearbox that passes on twice as much makes the same torque"
@@ -349,7 +347,7 @@ def _reasons(
     free: Sequence[Parameter],
     row: Array,
     null: bool,
-    coverage: Sequence[Coverage],
+    coverage: Sequence[Mapping[str, Any]],
     back: Mapping[str, float],
 ) -> Iterator[str]:
     """Explain a direction that is open although it is not a scaling.
@@ -368,7 +366,7 @@ def _reasons(
         )
     if undriven and len(members) > 1:
         yield f"while the motor always drives, effects on both sides of {undriven[0]} are collinear"
-    turn, steady = max(r.turn for r in coverage), min(r.steady for r in coverage)
+    turn, steady = max(r["turn"] for r in coverage), min(r["steady"] for r in coverage)
     small = ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0
     slow = "inertia" in shaped and steady > 0.8
     if small:
@@ -401,22 +399,29 @@ def open_counts(information: Array) -> tuple[int, int]:
 def trials(
     target: Target, parameters: Array, local: LocalInformation, *, rare: bool
 ) -> list[Trial]:
-    """Simulate recordings that may be remedies."""
+    """Design recordings that may be remedies: motions, of which the inverse model gives torque."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
     longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
     base, noise = observations[longest], torque_noise(target, parameters, longest)
-    measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), base.pace
-    time = period * np.arange(measured.size, dtype=np.float64)
-    peak = float(np.quantile(np.abs(measured), 0.99))
+    stretch, period, hertz = longest_stretch(base), sample_period(base), base.pace
+    time = period * np.arange(stretch.stop - stretch.start, dtype=np.float64)
+    peak = float(np.quantile(np.abs(base.torque[stretch]), 0.99))
     unit = "N m" if chain.motor_motion == "rotary" else "N"
-    experiments: list[tuple[RemedyKind, str, Array, Inputs]] = []
+    experiments: list[tuple[RemedyKind, str, Callable[[], Signals]]] = []
     if len({replace(o.inputs, recording="") for o in observations}) == 1:
         mass, article = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
         text = f"another recording with {article} known added mass (added_mass, radius), such as "
         text += f"{mass.added_mass:g} kg"
         text += f" at {mass.radius:g} m" if chain.load.motion == "rotary" else ""
-        experiments.append(("known mass", text, measured, mass))
+        bolted = in_place_of(base, mass)
+        motion = base.q[stretch], base.qd[stretch], base.qdd[stretch]
+
+        def loaded() -> Signals:
+            torque = inverse_torque(chain, values, *motion, inputs=bolted, time=time)
+            return prepared(chain, values, base, motion, torque, bolted)
+
+        experiments.append(("known mass", text, loaded))
     signals = {
         "of many frequencies, such as a square wave plus a multisine": square_with_sines(
             time, hertz, hertz * LINES
@@ -428,28 +433,29 @@ def trials(
     for form, shape in signals.items():
         text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
         torque = experiment.current_loop(peak * shape, period, LAG)
-        experiments.append(("excitation", text, torque, base.inputs))
-    simulated = []
-    for kind, text, torque, bolted in experiments:
+        design = partial(designed_recording, chain, values, base, torque, base.inputs)
+        experiments.append(("excitation", text, design))
+    made = []
+    for kind, text, record in experiments:
         try:
-            recording = simulate_recording(chain, values, base, torque, bolted)
+            recording = record()
         except ValueError:
-            continue  # it cannot be simulated, or stays at standstill
+            continue  # no such motion takes the torque, or it stays at standstill
         rows = scaled_jacobian(target, recording, values, local, noise)
         if np.isfinite(information := rows.T @ rows).all():
-            simulated.append((kind, text, information))
-    return simulated
+            made.append((kind, text, information))
+    return made
 
 
 def remedies(
     local: LocalInformation, row: Array, simulated: Sequence[Trial], known: Collection[str]
-) -> tuple[Remedy, ...]:
+) -> tuple[dict[str, Any], ...]:
     """List the remedies for a direction ``(d,)``, known values first."""
     information = local.information
     before = left_along(information, row)
     nulls, opens = open_counts(information)
     null = not np.isfinite(before)
-    useful = []
+    useful = list[dict[str, Any]]()
     # parameters that change least, relative to the largest, are no remedy
     members = np.flatnonzero(np.abs(row) >= 0.3 * np.abs(row).max())
     names = []
@@ -462,12 +468,13 @@ def remedies(
         if len(names) > 1:
             ways = "fix, or give a prior from a data sheet or CAD to, one of {}"
         text = ways.format(", ".join(names))
-        useful.append(Remedy("known value", text, tuple(names), None))
+        known_value = {"kind": "known value", "text": text, "parameters": names}
+        useful.append({**known_value, "log_sd_after": None})
     for kind, text, added in simulated:
         along = left_along(information + added, row)
         # one more recording of the same kind leaves 0.71 of the sd
         if along < WEAK and along < 0.5 * before:
-            useful.append(Remedy(kind, text, (), along))
+            useful.append({"kind": kind, "text": text, "parameters": [], "log_sd_after": along})
     return tuple(useful)
 
 
@@ -483,55 +490,40 @@ def left_along(information: Array, row: Array) -> float:
 # A torque computed from a voltage
 
 
-@dataclass(frozen=True)
-class SpeedTerm:
-    """What is collinear with a torque proportional to speed, such as a back-EMF's."""
-
-    recordings: tuple[str, ...]  # whose torque comes from a voltage
-    nominal: float  # the largest kt²/R, in N m s or N s/m at the motor
-    unit: str
-    same_as_back_emf: tuple[str, ...]  # the free viscous losses of the motor's side
-
-    @property
-    def meaning(self) -> str:
-        """Describe what is confounded, and what measurement would separate it."""
-        names = " and ".join(self.same_as_back_emf)
-        premise = (
-            f"torque comes from a voltage ({', '.join(self.recordings)}), less the nominal "
-            f"back-EMF kt²/R ({self.nominal:.3g} {self.unit}, at the motor) times speed"
-        )
-        if not names:
-            return f"{premise}; no viscous loss makes up for an error in it"
-        return (
-            f"{premise}; viscous loss and back-EMF are indistinguishable: it has exactly the shape"
-            f" of {names}: viscous loss plus the error of the nominal kt²/R. A measured current, or"
-            " kt and R measured at a standstill, would distinguish them"
-        )
-
-
-def speed_term(target: Target, recordings: Sequence[Measurement]) -> SpeedTerm | None:
+def speed_term(target: Target, recordings: Sequence[Measurement]) -> dict[str, Any] | None:
     """List the viscous losses that an error of the nominal back-EMF is collinear with.
 
     With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
     motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. So is a
-    viscous loss that no load-dependent friction passes on.
+    viscous loss that no load-dependent friction passes on. None where no torque comes from a
+    voltage; else ``recordings`` whose does, the largest ``nominal`` kt²/R with its ``unit``, the
+    free losses ``same_as_back_emf``, and a sentence, ``meaning``.
     """
     chain, names = target.likelihood.chain, {o.name for o in target.likelihood.observations}
-    nominal = {r.name: r.nominal_back_emf for r in recordings if r.name in names}
-    driven = {name: value for name, value in nominal.items() if value}
+    driven = {r.name: r.nominal_back_emf for r in recordings if r.name in names}
+    driven = {name: value for name, value in driven.items() if value}
     if not driven:
         return None
     lossy = [k for k, element in enumerate(chain.elements) if element.load_loss != "none"]
     first = lossy[0] + 1 if lossy else len(chain.elements)
     before = {element.name for element in chain.elements[:first]}
     viscous = "viscous", "viscous_positive", "viscous_negative"
-    return SpeedTerm(
-        tuple(driven),
-        max(driven.values()),
-        "N m s" if chain.motor_motion == "rotary" else "N s/m",
-        tuple(
-            p.name
-            for p in chain.parameters
-            if p.name in target.free and p.owner in before and p.quantity in viscous
-        ),
+    losses = [
+        p.name
+        for p in chain.parameters
+        if p.name in target.free and p.owner in before and p.quantity in viscous
+    ]
+    nominal, unit = max(driven.values()), "N m s" if chain.motor_motion == "rotary" else "N s/m"
+    meaning = (
+        f"torque comes from a voltage ({', '.join(driven)}), less the nominal "
+        f"back-EMF kt²/R ({nominal:.3g} {unit}, at the motor) times speed; "
     )
+    meaning += (
+        "viscous loss and back-EMF are indistinguishable: it has exactly the shape of "
+        f"{' and '.join(losses)}: viscous loss plus the error of the nominal kt²/R. A measured "
+        "current, or kt and R measured at a standstill, would distinguish them"
+        if losses
+        else "no viscous loss makes up for an error in it"
+    )
+    numbers = {"recordings": [*driven], "nominal": nominal, "unit": unit}
+    return {**numbers, "same_as_back_emf": losses, "meaning": meaning}

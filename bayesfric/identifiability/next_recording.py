@@ -14,6 +14,7 @@ Simulated recordings pass the filters of a measured one, and have its noise.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -148,9 +149,6 @@ def limits_of(
         guess = known_mass(chain, values)
         on_hand = [guess] if guess.added_mass < HEAVIEST else []
     base = longest(observations)
-    # at the temperature of the recording
-    temperature = base.inputs.temperature
-    mean_temperature = None if temperature is None else steady(float(np.mean(temperature.values)))
     period, stretch = sample_period(base), longest_stretch(base, None)
     longest_duration = min((stretch.stop - stretch.start) * period, _LONGEST)
     recorded_start = float(base.q[stretch.start])
@@ -175,11 +173,18 @@ def limits_of(
         angles,
         options.duration or min(longest_duration, _LONGEST_SAMPLES * period),
         options.lag,
-        tuple(replace(mass, temperature=mean_temperature) for mass in masses),
+        tuple(in_place_of(base, mass) for mass in masses),
         start,
         recorded,
         held,
     )
+
+
+def in_place_of(base: Signals, mass: Inputs) -> Inputs:
+    """Complete a mass by a recording's mean temperature, for a torque without a delay."""
+    signal = base.inputs.temperature
+    temperature = None if signal is None else steady(float(np.mean(signal.values)))
+    return replace(mass, temperature=temperature, torque_rate=steady(0.0))
 
 
 def longest(observations: Sequence[Signals]) -> Signals:
@@ -593,12 +598,68 @@ def simulate_recording(
     if initial is None:
         first = longest_stretch(observation).start
         initial = float(observation.q[first]), float(observation.qd[first])
-    period, size = sample_period(observation), torque.size
-    inputs = replace(inputs, recording=observation.inputs.recording)
-    q0, qd0 = initial
+    period, (q0, qd0) = sample_period(observation), initial
     motion = simulate(chain, values, torque, period, q0=q0, qd0=qd0, inputs=inputs, substeps=4)
-    settings, segments = observation.settings, ((0, torque.size),)
-    q, qd, qdd = motion.q, motion.qd, motion.qdd
+    kinematics = motion.q, motion.qd, motion.qdd
+    return prepared(chain, values, observation, kinematics, torque, inputs)
+
+
+def designed_recording(
+    chain: Joint, values: Array, observation: Signals, torque: Array, inputs: Inputs
+) -> Signals:
+    """Prepare about the motion of a torque ``(N,)``, with the torque that the model needs for it.
+
+    Steps of Euler with tabulated weight, losses and inertia: the exact integration takes longer to
+    compile than all else of a fit. ValueError where no inertia resists the torque.
+    """
+    period, inputs = sample_period(observation), in_place_of(observation, inputs)
+    time = period * np.arange(torque.size, dtype=np.float64)
+    places = np.linspace(-TURN, TURN, 1001)
+    places += float(np.mean(observation.q[longest_stretch(observation)]))
+    still, slow, fast = np.zeros(places.size), 1e-3, fastest(observation)
+
+    def torque_at(q: Array, qd: Array, qdd: Array) -> Array:
+        return inverse_torque(chain, values, q, qd, qdd, inputs=inputs, time=still)
+
+    # at rest, what neither loses nor accelerates; then losses, and inertia
+    forward, backward = (torque_at(places, still + v, still) for v in (slow, -slow))
+    weight, constant = 0.5 * (forward + backward), 0.5 * float(np.mean(forward - backward))
+    total = float(np.mean(torque_at(places, still + fast, still) - weight))
+    viscous = (total - constant) / fast
+    inertia = float(
+        np.mean(torque_at(places, still, still + 1.0) - torque_at(places, still, still))
+    )
+    if not inertia > 0.0:
+        raise ValueError("no inertia resists the torque")
+    q, qd = float(places[places.size // 2]), 0.0
+    positions, speeds = np.empty(torque.size), np.empty(torque.size)
+    for k, pushed in enumerate(torque.tolist()):
+        positions[k], speeds[k] = q, qd
+        moved = qd + period * (pushed - float(np.interp(q, places, weight))) / inertia
+        loss = period * (constant + viscous * abs(qd)) / inertia
+        qd = math.copysign(max(abs(moved) - loss, 0.0), moved)
+        q += period * qd
+    motion = positions, speeds, np.diff(speeds, append=qd) / period
+    taken = inverse_torque(chain, values, *motion, inputs=inputs, time=time)
+    return prepared(chain, values, observation, motion, taken, inputs)
+
+
+def prepared(
+    chain: Joint,
+    values: Array,
+    observation: Signals,
+    motion: tuple[Array, Array, Array],
+    torque: Array,
+    inputs: Inputs,
+) -> Signals:
+    """Filter a motion and torque ``(N,)`` like a recording; ValueError at standstill."""
+    (q, qd, qdd), moves = motion, motion[1] != 0.0
+    settings, segments, size = observation.settings, ((0, torque.size),), torque.size
+    period, inputs = (
+        sample_period(observation),
+        replace(inputs, recording=observation.inputs.recording),
+    )
+    stamps = period * np.arange(size, dtype=np.float64)
     cutoff, order = float(settings.get("lowpass", 0.0)), int(settings.get("order", 0))
     # filtered and differentiated like the recording, so that it blurs as much
     if cutoff and order and settings.get("motion") != "refined":
@@ -612,7 +673,7 @@ def simulate_recording(
     guard = int(settings.get("guard", size))
     moving = moving_samples(qd, segments, float(settings.get("dead_zone", slow)), guard)
     span = (trim, max(size - trim, trim))
-    windows = lay_windows(observation.filter.taps, (span,), step, moving & (motion.qd != 0.0))
+    windows = lay_windows(observation.filter.taps, (span,), step, moving & moves)
     if windows.n_outputs < 20:
         raise ValueError("the joint hardly moves")
     recording = replace(
@@ -624,11 +685,11 @@ def simulate_recording(
         smooth=None,
         torque=torque,
         filter=windows,
-        time=motion.time[windows.centres],
+        time=stamps[windows.centres],
         measured=windows.apply(as_position(torque, segments, period, settings)),
         speed=qd[windows.centres],
         segment_of=np.zeros(windows.n_outputs, dtype=np.int64),
-        stamps=motion.time,
+        stamps=stamps,
         inputs=inputs,
     )
     if not chain.delay:

@@ -120,19 +120,24 @@ def read_priors(
         texts = dict.fromkeys(chain.offset_names, texts["offset"]) | {
             name: text for name, text in texts.items() if name != "offset"
         }
-    known = [*chain.names, *noises]
+    names = [*chain.names, *noises]
     for name in texts:
-        if name not in known:
+        if name not in names:
             raise BadInput(
-                f"priors.{name}", "the mechanism has no such parameter", nearest(name, known)
+                f"priors.{name}", "the mechanism has no such parameter", nearest(name, names)
             )
-    scales = typical_sizes(chain, observations)
     priors = {
         p.name: read_prior(p.name, texts[p.name], lower=p.lower, upper=p.upper, circular=p.circular)
-        if p.name in texts
-        else default_prior(chain, p, scales)
         for p in chain.parameters
+        if p.name in texts
     }
+    known = {name: prior.value for name, prior in priors.items() if prior.fixed}
+    scales = typical_sizes(chain, observations, known)
+    if not scales.torque:
+        problem = "the motor's torque is 0 throughout, and no other torque is known"
+        raise BadInput("priors", problem, 'fix what is known, such as "load.first_moment" = 0.14')
+    defaults = {p.name: default_prior(chain, p, scales) for p in chain.parameters}
+    priors = {**defaults, **priors}
     for name, quantity in zip(noises, noise, strict=True):
         priors[name] = SCALES[quantity].read_prior(texts, scales)
         if priors[name].fixed:

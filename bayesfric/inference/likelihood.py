@@ -142,12 +142,11 @@ class TorqueLikelihood:
 
     def sum_of_squares(self, values: Array) -> Array:
         """Sum of squared residuals ``(n, R)`` of each recording, torque unit squared."""
-        return self.moments.at(values).sum_of_squares
+        return np.asarray(sum(products[..., 0, 0] for products in self.moments.at(values)))
 
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood ``(n,)`` of all recordings; standstill is a separate factor."""
-        moments, counts = self.moments.at(values), (self._plain.counts, self._plain.head_counts)
-        total = self.noise.log_density(moments, *counts, scales)
+        total = self.noise.log_density(self.moments.at(values), self._plain.counts, scales)
         for r, static in enumerate(self._static):
             if static is not None:
                 total = total + static.log_terms(values, self.noise.marginal(scales[:, r])).sum(1)

@@ -51,19 +51,6 @@ _TURNS: dict[str, Weights] = {
 ACCURACY = 1e-8
 
 
-class Coefficients(NamedTuple):
-    """Coefficients of the columns for ``n`` parameter vectors."""
-
-    # (n, K): one for the measured torque, minus Theta1, then minus Theta2 and minus the remaining
-    # lambda_1 with each function of speed, minus those of the squared load, and, at standstill,
-    # minus (1 - lambda_1) l. Columns times this are residuals
-    all: Array
-    # (n, n2) load parameters l; sign(psi2 l) is the direction of the load's torque
-    leg: Array
-    lambda2: Array  # (n, m), with each function of speed
-    inside: Flags  # (n,) whether unknown shapes are in their ranges
-
-
 class Interpolation:
     """Chebyshev nodes of one unknown shape, and the range in which interpolation is accurate."""
 
@@ -294,11 +281,19 @@ class LinearTorque:
             grows = share(kernels.LOAD_SPEED)
             yield lambda o: np.abs(reach * o.qd)[None], grows, grows
 
-    def coefficients(self, values: Array) -> Coefficients:
+    def coefficients(self, values: Array) -> tuple[Array, Array, Array, Flags]:
         """Compute the coefficients of parameter vectors ``(n, n_parameters)``, SI units.
 
         ``lambda_1 = 1 + (mu_1 - mu_2)/2`` and ``lambda_2 = (mu_1 + mu_2)/2``, for each function of
-        speed.
+        speed. Returns
+
+        - coefficients of all columns ``(n, K)``: one for the measured torque, minus Theta1, then
+          minus Theta2 and minus the remaining lambda_1 with each function of speed, minus those of
+          the squared load, and, at standstill, minus (1 - lambda_1) l. Columns times this are
+          residuals;
+        - load parameters l ``(n, n2)``: sign(psi2 l) is the direction of the load's torque;
+        - ``lambda_2`` ``(n, m)`` with each function of speed;
+        - whether unknown shapes are in their ranges, ``(n,)``.
         """
         n, k1 = len(values), len(self.names1)
         motor, leg = (self._multiplied(values, side) for side in (0, 1))
@@ -330,7 +325,7 @@ class LinearTorque:
             divided[: 1 + k1] = [False, *(not name.startswith("drive.") for name in self.names1)]
             together[:, divided] /= gain
             lambda2 = lambda2 / gain
-        return Coefficients(together, behind, lambda2, inside)
+        return together, behind, lambda2, inside
 
     def _multiplied(self, values: Array, side: int) -> Array:
         """Compute coefficients of ``psi1``, in front of (0) or behind the gearbox (1)."""

@@ -1,8 +1,8 @@
 """Sums of lagged products of torque residuals, from which Gaussian likelihoods follow.
 
 White noise needs the sum of squares; autoregressive noise of order p the products of each residual
-with its p predecessors, and for the exact density of the beginning of a run those among its first p
-residuals. Then any noise scale costs a few multiplications.
+with its p predecessors in a run of outputs one period apart, or as many as there are. Then any
+noise scale costs a few multiplications.
 
 :class:`FastMoments` computes them at a cost independent of the recording's length, exactly. With
 one load-dependent friction the torque is linear except for the direction of power at the gearbox,
@@ -51,72 +51,49 @@ RADIUS = 20.0
 _CHUNK = 16384
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Lagged products of residuals of ``n`` parameter vectors and ``R`` recordings, order ``p``.
-
-    A run is a sequence of outputs one period apart.
-    """
-
-    # (n, R, p + 1, p + 1), torque unit squared: entry j, k is the sum of r[m - j] r[m - k] over
-    # outputs m with at least p predecessors in their run
-    lagged: Array
-    # for l from 1 to p an array (n, R, l, l): entry j, k is the sum of r_j r_k over runs whose
-    # head, the first p outputs or fewer, has length l
-    heads: tuple[Array, ...]
-
-    @property
-    def sum_of_squares(self) -> Array:
-        """Sum of all squared residuals ``(n, R)``, torque unit squared."""
-        total: Array = self.lagged[..., 0, 0].copy()
-        for head in self.heads:
-            total += np.trace(head, axis1=2, axis2=3)
-        return total
+# Lagged products of residuals of n parameter vectors and R recordings: for k from 0 to the order p
+# an array (n, R, k + 1, k + 1), torque unit squared, whose entry i, j is the sum of
+# r[m - i] r[m - j] over the outputs m with k predecessors in their run; for the last at least p.
+Moments = tuple[Array, ...]
 
 
-def runs_of(observation: Signals, order: int) -> tuple[Short, Short, Short]:
-    """Return the outputs before and after each ``(M,)`` in its run, and the length of its head.
-
-    None is larger than the order.
-    """
+def runs_of(observation: Signals, order: int) -> tuple[Short, Short]:
+    """Count the outputs before and after each ``(M,)`` in its run, up to the order."""
     follows = ar.follows(observation)
     _, length = ar.runs(follows)
-    age, head = ar.ages(follows, follows.size), np.repeat(length, length)
-    counts = (age, head - 1 - age, head)
-    before, after, first = (np.minimum(x, order).astype(np.int16) for x in counts)
-    return before, after, first
+    age = ar.ages(follows, follows.size)
+    remaining = np.repeat(length, length) - 1 - age
+    before, after = (np.minimum(x, order).astype(np.int16) for x in (age, remaining))
+    return before, after
 
 
 def n_entries(order: int) -> int:
     """Return the number of distinct moments of one vector and recording.
 
-    They are the upper triangle of ``lagged`` and then those of the heads, by rows.
+    They are the upper triangles of each age, by rows.
     """
-    return sum(size * (size + 1) // 2 for size in (order + 1, *range(1, order + 1)))
+    return (order + 1) * (order + 2) * (order + 3) // 6
 
 
-def _entries(age: Short, head: Short, order: int) -> Iterator[tuple[Flags, int, int]]:
-    """Yield each moment of the flat layout as outputs ``m`` and lags of ``r[m - j] r[m - k]``."""
-    for j in range(order + 1):
-        for k in range(j, order + 1):
-            yield age == order, j, k
-    for length in range(1, order + 1):
-        for j in range(length):
-            for k in range(j, length):
-                yield (head == length) & (age == k), 0, k - j
+def _entries(age: Short, order: int) -> Iterator[tuple[Flags, int, int]]:
+    """Yield each moment of the flat layout as outputs ``m`` and lags of ``r[m - i] r[m - j]``."""
+    for k in range(order + 1):
+        for i in range(k + 1):
+            for j in range(i, k + 1):
+                yield age == k, i, j
 
 
 def unpacked(flat: Array, order: int) -> Moments:
     """Convert the flat layout ``(n, R, n_entries)`` to moments."""
     parts, begin = [], 0
-    for size in (order + 1, *range(1, order + 1)):
+    for size in range(1, order + 2):
         row, column = np.triu_indices(size)
         full = np.empty((*flat.shape[:2], size, size))
         full[..., row, column] = flat[..., begin : begin + row.size]
         full[..., column, row] = flat[..., begin : begin + row.size]
         parts.append(full)
         begin += row.size
-    return Moments(parts[0], tuple(parts[1:]))
+    return tuple(parts)
 
 
 class PlainMoments:
@@ -124,18 +101,16 @@ class PlainMoments:
 
     def __init__(self, chain: Joint, observations: Sequence[Signals], order: int = 0) -> None:
         self.chain, self.order = chain, order
-        runs = [runs_of(o, order) for o in observations]
-        # outputs with a full past, and heads (R, p) by length
-        self.counts = np.array([np.count_nonzero(age == order) for age, *_ in runs], dtype=np.int64)
-        lengths = [head[age == 0] for age, _, head in runs]
-        self.head_counts = np.stack([np.bincount(x, minlength=order + 1)[1:] for x in lengths])
+        ages = [runs_of(o, order)[0] for o in observations]
+        # (R, p + 1) numbers of outputs by predecessors
+        self.counts = np.stack([np.bincount(age, minlength=order + 1) for age in ages])
         self._recordings = [
             (
                 o,
                 chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps),
-                [(np.flatnonzero(flags), j, k) for flags, j, k in _entries(age, head, order)],
+                [(np.flatnonzero(flags), i, j) for flags, i, j in _entries(age, order)],
             )
-            for o, (age, _, head) in zip(observations, runs, strict=True)
+            for o, age in zip(observations, ages, strict=True)
         ]
 
     def at(self, values: Array) -> Moments:
@@ -158,7 +133,7 @@ class PlainMoments:
         return flat
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def product_sum(x: Array, y: Array) -> float:
     """Sum of products of two arrays."""
     # four sums are as fast as reordering by the compiler, and reproducible
@@ -175,10 +150,9 @@ def product_sum(x: Array, y: Array) -> float:
 
 
 @njit(cache=True)
-def head_entry(order: int, length: int, j: int, k: int) -> int:
-    """Return the index of ``r_j r_k``, ``j <= k``, of a head of a length in the flat layout."""
-    before = (order + 1) * (order + 2) // 2 + (length - 1) * length * (length + 1) // 6
-    return before + j * length - j * (j - 1) // 2 + k - j
+def entry_of(age: int, i: int, j: int) -> int:
+    """Return the index of ``r[m - i] r[m - j]``, ``i <= j <= age``, in the flat layout."""
+    return age * (age + 1) * (age + 2) // 6 + i * (age + 1) - i * (i - 1) // 2 + j - i
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +241,6 @@ class MomentMatrices(NamedTuple):
     rows: Array
     age: Short
     remaining: Short
-    head: Short
 
 
 def moment_matrices(
@@ -285,7 +258,7 @@ def moment_matrices(
     # at standstill the loss has no direction; unused samples do not count
     kept = _union(starts, starts + length, o.q.size)
     kept = kept[(o.qd[kept] != 0.0) & (o.filter.used[kept] != 0.0) & (ratio[kept] <= radius)]
-    age, remaining, head = runs_of(o, order)
+    age, remaining = runs_of(o, order)
     first_output = np.searchsorted(starts, kept - length, side="right")
     end_output = np.searchsorted(starts, kept, side="right")
     near = _union(first_output, end_output, starts.size)
@@ -302,7 +275,7 @@ def moment_matrices(
     for outputs, samples, psi2, phi, rows in _chunks(linear, o, region):
         transformed = np.concatenate([before, stretch.T @ rows], axis=1)
         before = transformed[:, transformed.shape[1] - order :]
-        _add_products(sums, transformed, age[outputs], head[outputs], order)
+        _add_products(sums, transformed, age[outputs], order)
         a, b = np.searchsorted(kept_outputs, (outputs.start, outputs.stop))
         kept_rows[a:b] = transformed[:, order + kept_outputs[a:b] - outputs.start].T
         a, b = np.searchsorted(kept, (samples.start, samples.stop))
@@ -331,7 +304,6 @@ def moment_matrices(
         kept_rows,
         age[kept_outputs],
         remaining[kept_outputs],
-        head[kept_outputs],
     )
 
 
@@ -391,14 +363,14 @@ def _orthonormal(gram: Array, *, drop: bool) -> tuple[Array, Array]:
     return np.pad(a, padding), np.pad(inverse, padding)
 
 
-def _add_products(sums: Array, rows: Array, age: Short, head: Short, order: int) -> None:
+def _add_products(sums: Array, rows: Array, age: Short, order: int) -> None:
     """Add products of a block's rows, ``order`` previous ones first, in the flat layout."""
     n = age.size
-    for entry, (flags, j, k) in enumerate(_entries(age, head, order)):
+    for entry, (flags, i, j) in enumerate(_entries(age, order)):
         if flags.any():
-            later = rows[:, order - j : order - j + n]
+            later = rows[:, order - i : order - i + n]
             later = later if flags.all() else later * flags
-            sums[entry] += later @ rows[:, order - k : order - k + n].T
+            sums[entry] += later @ rows[:, order - j : order - j + n].T
 
 
 class FastMoments:
@@ -424,18 +396,18 @@ class FastMoments:
         """Compute moments at parameter vectors ``(n, n_parameters)``, SI units."""
         flat = np.empty((len(values), len(self._recordings), n_entries(self.order)))
         with np.errstate(all="ignore"):
-            c = self._linear.coefficients(values)
-            distance = self._region.distance(c.leg)
-            inside = c.inside & (distance <= self.radius)
+            coefficients, leg, lambda2, inside = self._linear.coefficients(values)
+            distance = self._region.distance(leg)
+            inside = inside & (distance <= self.radius)
             # tolerance at the border, where the sign does not matter
             reached = distance * (1.0 + 1e-9) + 1e-12
             # one memory layout, to compile once
-            leg, lambda2 = np.ascontiguousarray(c.leg), np.ascontiguousarray(c.lambda2)
+            leg, lambda2 = np.ascontiguousarray(leg), np.ascontiguousarray(lambda2)
             for i, m in enumerate(self._recordings):
                 n_candidates = np.searchsorted(m.ratios, reached, side="right")
                 n_candidates[~inside] = 0
                 flat[:, i] = _moments(
-                    m, c.all @ m.to_columns, leg, lambda2, n_candidates, self.order
+                    m, coefficients @ m.to_columns, leg, lambda2, n_candidates, self.order
                 )
         slow = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
         if slow.any():
@@ -460,7 +432,7 @@ def fast_moments(
     # a plain evaluation takes about twenty operations a sample
     if linear.shapes and linear.size**2 > 20 * sum(o.q.size for o in observations):
         return None
-    region = SignRegion.around(linear.coefficients(draws).leg, linear.typical_size())
+    region = SignRegion.around(linear.coefficients(draws)[1], linear.typical_size())
     if region is None:
         return None
     plain = PlainMoments(chain, observations, order) if plain is None else plain
@@ -491,20 +463,20 @@ def _moments(
         n_changed = 0
         for i0 in range(0, n_candidates[v], batch):
             n = min(batch, n_candidates[v] - i0)
-            levels = level[:n]
-            levels[:] = 0.0
+            for i in range(n):  # assignments of slices take seconds to compile
+                level[i] = 0.0
             for k in range(m.signs.shape[0]):
                 row, factor = m.signs[k, i0 : i0 + n], leg[v, k]
                 for i in range(n):
-                    levels[i] += row[i] * factor
+                    level[i] += row[i] * factor
             # branch-free, as half of the samples differ
             n_flipped = 0
             for i in range(n):
                 flipped[n_flipped] = i
-                n_flipped += levels[i] < 0.0
+                n_flipped += level[i] < 0.0
             for i in flipped[:n_flipped]:
                 s = i0 + i
-                jump = product_sum(m.jumps[s], lambda2[v]) * levels[i]
+                jump = product_sum(m.jumps[s], lambda2[v]) * level[i]
                 for k in range(m.first[s], m.last[s]):
                     change[k] += m.weights[s, k - m.first[s]] * jump
                     if not is_changed[k]:
@@ -523,8 +495,8 @@ def _add_change(m: MomentMatrices, x: int, order: int, z: Array, change: Array, 
     """Add a changed output's effect on products with others of its run.
 
     A pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the change of
-    the earlier is combined with the other's new residual. It counts in entry ``j, k`` if the output
-    j periods after y exists and has a full past.
+    the earlier is combined with the other's new residual. It counts for every output until
+    ``order`` periods after x.
     """
     for y in range(x - m.age[x], x + m.remaining[x] + 1):
         value = product_sum(m.rows[y], z)
@@ -534,10 +506,6 @@ def _add_change(m: MomentMatrices, x: int, order: int, z: Array, change: Array, 
             value += change[y]
         value *= change[x]
         earlier, later = min(x, y), max(x, y)
-        entry = later - earlier
-        for j in range(order + 1 - (later - earlier)):
-            if m.remaining[later] >= j and m.age[later] + j >= order:
-                out[entry] += value
-            entry += order + 1 - j
-        if m.age[later] < m.head[later]:
-            out[head_entry(order, m.head[later], m.age[earlier], m.age[later])] += value
+        lag = later - earlier
+        for i in range(min(order - lag, m.remaining[later]) + 1):
+            out[entry_of(min(m.age[later] + i, order), i, i + lag)] += value

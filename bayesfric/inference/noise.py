@@ -185,27 +185,21 @@ class Autoregressive(NoiseDescription):
         words = f"AR({order})" if order else "white"
         super().__init__(scales, words, accounts_for_correlation=order > 0)
 
-    def log_density(
-        self, moments: Moments, counts: Index, head_counts: Index, scales: Array
-    ) -> Array:
-        """Exact log density ``(n,)`` from sums of lagged products.
+    def log_density(self, moments: Moments, counts: Index, scales: Array) -> Array:
+        """Exact log density ``(n,)`` from lagged products and numbers of outputs ``(R, p + 1)``.
 
         The product of each output's normal density given up to ``p`` predecessors, of variance
         ``sigma^2 / prod(1 - pacf_k^2)`` over the lags ``k`` that are not used yet.
         """
         shape = scales.shape[:2]
         partial = scales[..., 1:].reshape(shape[0] * shape[1], self.order)
-        coefficients, variances = ar.predictors(partial), ar.variances(partial)
-        logs, outputs = np.zeros(shape), counts
-        squares = _prediction_errors(moments.lagged, coefficients[-1])
-        for k in range(self.order):
-            # outputs with k predecessors are in the longer heads, whose residuals are in time
-            number, variance = head_counts[:, k:].sum(axis=1), variances[:, k].reshape(shape)
-            head = np.sum([head[..., k::-1, k::-1] for head in moments.heads[k:]], axis=0)
-            squares = squares + _prediction_errors(head, coefficients[k]) / variance
+        squares, logs = np.zeros((2, *shape))
+        variances = ar.variances(partial).T.reshape(-1, *shape)
+        predictors = zip(moments, ar.predictors(partial), variances, counts.T, strict=True)
+        for products, coefficients, variance, number in predictors:
+            squares += _prediction_errors(products, coefficients) / variance
             logs += number * np.log(variance)
-            outputs = outputs + number
-        sigma = scales[..., 0]
+        sigma, outputs = scales[..., 0], counts.sum(axis=1)
         with np.errstate(over="ignore"):  # the density is zero there
             total = squares / sigma**2 + logs + outputs * (2.0 * np.log(sigma) + _LOG_2PI)
         return np.asarray(-0.5 * total.sum(axis=1))

@@ -20,7 +20,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.base.errors import BadInput
@@ -29,14 +28,13 @@ from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
 from bayesfric.inference.noise import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, Index
+from bayesfric.recordings.filters import later
 from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.trajectory import Trajectory
 
 # Relative steps of the derivatives by state and torque.
 _STEP = 1e-4
-# A torque sample affects half as many samples on either side, for any interpolation.
-_AFFECTED_SAMPLES = 16
 # Relative singular value below which an initial state has no effect.
 _RANK = 1e-6
 
@@ -263,12 +261,8 @@ class _Recording:
             running = np.flatnonzero(lengths > i + 1)
             samples = t.segments[running, 0] + i
             derivatives[running] = derivatives[running] @ by_state[samples].swapaxes(1, 2)
-            for phase in range(_AFFECTED_SAMPLES):
-                half = _AFFECTED_SAMPLES // 2
-                j = i + half - (i - phase + half) % _AFFECTED_SAMPLES
-                affected = lengths[running] > j
-                if j >= 0 and affected.any():
-                    derivatives[running[affected], j] += by_torque[samples[affected], phase]
+            for end in (0, 1):
+                derivatives[running, i + end] += by_torque[samples, end]
             for k in running:
                 block = (i + 1) // self._factor
                 if block < len(blocks[k]):
@@ -276,12 +270,12 @@ class _Recording:
         return blocks
 
     def _steps(self, point: Array) -> tuple[Array, Array]:
-        """Differentiate the motion over one sample by state ``(N, 2, 2)`` and torque ``(N, _, 2)``.
+        """Differentiate the motion over one sample by state and by torque, ``(N, 2, 2)`` each.
 
-        One in ``_AFFECTED_SAMPLES`` torque samples is moved at a time, as distant ones have no
-        effect.
+        The torque, at the time that the motion shows it, acts between two samples. Every other one
+        is moved at a time.
         """
-        t = self._trajectory
+        t, chain = self._trajectory, self._shooting.chain
         n = t.position.size
         q, qd = np.zeros((2, n))
         # a diverging segment has no derivatives
@@ -295,29 +289,33 @@ class _Recording:
         # small enough not to shift events between samples
         small = 1e-6 * np.array([float(np.ptp(q)), speed])
         torque_step = _STEP * max(float(np.abs(t.torque[t.samples]).max()), 1e-12)
-        by_state, by_torque = np.zeros((n, 2, 2)), np.zeros((n, _AFFECTED_SAMPLES, 2))
+        by_state, by_torque = np.zeros((2, n, 2, 2))
+        torque = t.torque
+        if chain.delay and not chain.by_target:
+            torque = later(torque, float(chain.delays(point[None])[0]) / t.period)
+        prompt = replace(chain, delay=None), point[[n != chain.delay_name for n in chain.names]]
         shifts = np.concatenate([np.diag(small), -np.diag(small)])
         for parity in (0, 1):  # ranges of samples must not overlap
             samples = before[place[before] % 2 == parity]
             if not samples.size:
                 continue
             initial = np.stack([q[samples], qd[samples]], axis=1)
-            ends = partial(self._next_states, point, samples)
-            up, down = np.split(ends(initial + shifts[:, None], t.torque), 2)
+            ends = partial(self._next_states, *prompt, samples)
+            up, down = np.split(ends(initial + shifts[:, None], torque), 2)
             by_state[samples] = np.moveaxis((up - down) / (2.0 * small[:, None, None]), 0, 2)
-            for phase in range(_AFFECTED_SAMPLES):
-                change = torque_step * (place % _AFFECTED_SAMPLES == phase)
-                up, down = (ends(initial[None], t.torque + s * change)[0] for s in (1.0, -1.0))
-                by_torque[samples, phase] = (up - down) / (2.0 * torque_step)
+            for end in (0, 1):
+                change = torque_step * (place % 2 == (parity + end) % 2)
+                up, down = (ends(initial[None], torque + s * change)[0] for s in (1.0, -1.0))
+                by_torque[samples, end] = (up - down) / (2.0 * torque_step)
         return np.nan_to_num(by_state), np.nan_to_num(by_torque)
 
     def _next_states(
-        self, point: Array, samples: NDArray[np.int64], initial: Array, torque: Array
+        self, chain: Joint, point: Array, samples: Index, initial: Array, torque: Array
     ) -> Array:
         """Position and speed one sample after ``samples`` ``(m,)`` from states ``(n, m, 2)``."""
         t = self._trajectory
         positions, speeds = simulate_segments(
-            self._shooting.chain,
+            chain,
             np.tile(point, (len(initial), 1)),
             torque,
             t.period,

@@ -274,32 +274,20 @@ def predict_held_out(
     return tuple(predictions)
 
 
-@dataclass(frozen=True)
-class StictionViolation:
-    """Standstills of one recording at which the law would have moved the joint."""
-
-    recording: str  # name
-    share: float  # share of the outputs at standstill
-    # s from the file's first stamp, of the first and the last
-    start: float
-    stop: float
-    # largest excess of the torque over the law's limits, N m or N at the motor
-    beyond: float
-    # largest friction at standstill, N m or N at the motor: static friction is at least this
-    held: float
-
-
 def stiction_violations(
     target: Target,
     widened: Posterior,
     residuals: Sequence[Array],
     recordings: Sequence[Measurement],
     processing: Processing,
-) -> Iterator[StictionViolation]:
+) -> Iterator[dict[str, Any]]:
     """Yield recordings with standstills outside the limits of 95 % of the widened draws.
 
     At least three outputs and a tenth of those at standstill must exceed them by three times the
-    residuals' rms. Nothing is evaluated if the fit uses standstill or explains positions.
+    residuals' rms. Nothing is evaluated if the fit uses standstill or explains positions. Each has
+    its ``recording``, the ``share`` of its outputs at standstill, from ``start`` to ``stop`` in s,
+    and at the motor, N m or N, the largest torque ``beyond`` the limits and the largest friction
+    ``held``, which static friction is at least.
     """
     likelihood = target.likelihood
     if processing.rest or likelihood.method != "input-error":
@@ -319,8 +307,14 @@ def stiction_violations(
         violated = np.quantile(excess, 0.05, axis=0) > 3.0 * np.sqrt(np.mean(residual**2))
         if violated.sum() >= 3 and violated.mean() >= 0.1:
             stamps = at_rest.rest.stamps[violated]
-            span = float(stamps.min()), float(stamps.max())
             # friction is the distance from the limits' middle
             friction = np.abs(torque - 0.5 * (low + high))
             beyond, held = (float(np.median(x, axis=0)[violated].max()) for x in (excess, friction))
-            yield StictionViolation(recording.name, float(violated.mean()), *span, beyond, held)
+            yield {
+                "recording": recording.name,
+                "share": float(violated.mean()),
+                "start": float(stamps.min()),
+                "stop": float(stamps.max()),
+                "beyond": beyond,
+                "held": held,
+            }

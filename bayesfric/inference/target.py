@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,40 +27,7 @@ from bayesfric.recordings.arrays import Array, Flags
 Likelihood = TorqueLikelihood | PositionLikelihood
 
 
-class LogPosterior(Protocol):
-    """A log-posterior in coordinates: prior, likelihood and change of variables."""
-
-    not_finite: int  # number of non-finite likelihood evaluations
-
-    def to_parameters(self, u: Array) -> tuple[Array, Array]: ...  # noqa: D102
-
-    def log_prior(self, parameters: Array) -> Array: ...  # noqa: D102
-
-    def log_likelihood(self, parameters: Array) -> Array: ...  # noqa: D102
-
-    def __call__(self, u: Array) -> Array:
-        """Log posterior density ``(n,)`` of coordinates ``(n, d)``.
-
-        The expensive likelihood is only evaluated where prior and Jacobian are finite. A non-finite
-        value counts as ``-inf``; at the edge of a prior that is infinite there a walker would be
-        stuck.
-        """
-        parameters, jacobian = self.to_parameters(u)
-        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
-        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
-        possible = np.isfinite(out)
-        out[possible] += self.log_prior(parameters[possible])
-        possible = np.isfinite(out)
-        out[~possible] = -np.inf
-        if possible.any():
-            density = self.log_likelihood(parameters[possible])
-            is_finite = np.isfinite(density)
-            self.not_finite += int(np.count_nonzero(~is_finite))
-            out[possible] += np.where(is_finite, density, -np.inf)
-        return out
-
-
-class Target(LogPosterior):
+class Target:
     """Posterior of the mechanism's free parameters and the noise scales, in this order.
 
     ``priors`` include fixed parameters. ``widths`` ``(d,)`` are approximate posterior standard
@@ -91,6 +57,27 @@ class Target(LogPosterior):
         )
         self.coordinates = choose_coordinates(chain, priors, model_widths)
         self._noise_coordinates = BoundedCoordinates.of(noise.priors, noise_widths)
+
+    def __call__(self, u: Array) -> Array:
+        """Log posterior density ``(n,)`` of coordinates ``(n, d)``.
+
+        The expensive likelihood is only evaluated where prior and Jacobian are finite. A non-finite
+        value is counted in ``not_finite`` and is ``-inf``; at the edge of a prior that is infinite
+        there a walker would be stuck.
+        """
+        parameters, jacobian = self.to_parameters(u)
+        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
+        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
+        possible = np.isfinite(out)
+        out[possible] += self.log_prior(parameters[possible])
+        possible = np.isfinite(out)
+        out[~possible] = -np.inf
+        if possible.any():
+            density = self.log_likelihood(parameters[possible])
+            is_finite = np.isfinite(density)
+            self.not_finite += int(np.count_nonzero(~is_finite))
+            out[possible] += np.where(is_finite, density, -np.inf)
+        return out
 
     def with_widths(self, widths: Array) -> Target:
         """Return the same target in coordinates for posterior standard deviations ``(d,)``."""

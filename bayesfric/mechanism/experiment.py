@@ -47,7 +47,7 @@ class Simulation(Options):
     lag: NotNegative = Field(0.005, description="time constant of the current loop, s")
     hold: Hold = Field(
         "linear",
-        description="how the torque goes between samples: zero, held until the next; linear; cubic",
+        description="how the torque goes between samples: zero, held until the next; linear",
     )
     encoder_counts: int = Field(
         8192, ge=0, description="counts a turn of the encoder; 0 for a perfect one"

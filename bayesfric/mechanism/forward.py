@@ -94,29 +94,26 @@ def simulate(
         if flags[0]:
             raise ValueError(reason)
     plant = plant_of(elements, load, carried, 0)
-    fine, finer = _fine(joint, vector[np.newaxis], measured, period, hold)
+    (acting,) = _acting(joint, vector[np.newaxis], measured, period)
 
     def run(each: int) -> Motion:
-        """Integrate in ``each`` steps a piece; the error is not known."""
-        out, counts = np.empty((4, fine.shape[1])), np.zeros(2, dtype=np.int64)
-        step, start = float(period) / finer, (float(q0), float(qd0))
-        linear = hold != "zero"
-        done = integrate(plant, fine[0], step, float(begin), linear, *start, each, out, counts)
-        if done < fine.shape[1]:
-            at = f"beyond 1e+06 rad or m after {done * period / finer:g} s"
+        """Integrate in ``each`` steps a sample; the error is not known."""
+        out, counts = np.empty((4, measured.size)), np.zeros(2, dtype=np.int64)
+        step, linear, start = float(period), hold != "zero", (float(q0), float(qd0))
+        done = integrate(plant, acting, step, float(begin), linear, *start, each, out, counts)
+        if done < measured.size:
+            at = f"beyond 1e+06 rad or m after {done * period:g} s"
             raise RunsAway(f"the joint runs away: {at}")
-        q, qd, qdd, sticks = out[[POSITION, SPEED, ACCELERATION, STICKS], ::finer]
-        time = np.arange(measured.size, dtype=np.float64) * float(period)
+        q, qd, qdd, sticks = out[[POSITION, SPEED, ACCELERATION, STICKS]]
+        time = np.arange(measured.size, dtype=np.float64) * step
         events, reversals = counts.tolist()
-        return Motion(
-            time, q, qd, qdd, measured, sticks == 1.0, events, reversals, math.nan, each * finer
-        )
+        return Motion(time, q, qd, qdd, measured, sticks == 1.0, events, reversals, math.nan, each)
 
     if substeps is not None:
-        return run(-(-substeps // finer))
+        return run(substeps)
     motion = run(2)
     while True:
-        coarse, motion = motion, run(2 * motion.substeps // finer)
+        coarse, motion = motion, run(2 * motion.substeps)
         change = float(np.max(np.abs(motion.q - coarse.q)))
         if change < tolerance or motion.substeps >= 64:
             # of fourth order: half the step leaves a sixteenth of the error
@@ -148,23 +145,22 @@ def simulate_segments(
         np.ascontiguousarray(np.broadcast_to(np.asarray(x, np.float64), shape)) for x in (q0, qd0)
     )
     elements, load, carried = _tables(joint, vectors, inputs)
-    fine, finer = _fine(joint, vectors, np.asarray(torque, dtype=np.float64), period, hold)
     q, qd = integrate_segments(
         elements,
         load,
         carried,
         _possible(joint, vectors, elements, load),
-        fine,
-        float(period) / finer,
+        _acting(joint, vectors, np.asarray(torque, dtype=np.float64), period),
+        float(period),
         float(begin),
         hold != "zero",
-        np.ascontiguousarray(finer * ranges[:, 0]),
-        np.ascontiguousarray(finer * (ranges[:, 1] - 1) + 1),
+        np.ascontiguousarray(ranges[:, 0]),
+        np.ascontiguousarray(ranges[:, 1]),
         start,
         speed,
-        -(-substeps // finer),
+        substeps,
     )
-    return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
+    return np.asarray(q), np.asarray(qd)
 
 
 def _tables(joint: Joint, vectors: Array, inputs: Inputs) -> tuple[Array, Array, Carried | None]:
@@ -193,28 +189,14 @@ def _tables(joint: Joint, vectors: Array, inputs: Inputs) -> tuple[Array, Array,
     return elements, load, carried
 
 
-def _fine(
-    joint: Joint, vectors: Array, torque: Array, period: float, hold: Hold
-) -> tuple[Array, int]:
-    """Give the torque that acts, ``(1, N)`` or each vector's own, in pieces to integrate.
+def _acting(joint: Joint, vectors: Array, torque: Array, period: float) -> Array:
+    """Give the torque at the time that the recorded motion shows it: ``(1, N)``, or each vector's.
 
-    It acts when the recorded motion shows it. A cubic is cut into four straight pieces a sample.
+    With a delay that is unknown each vector has its own.
     """
-    rows = torque[np.newaxis]
-    if joint.delay and not joint.by_target:
-        rows = np.stack([later(torque, s) for s in (joint.delays(vectors) / period).tolist()])
-    if hold != "cubic":
-        return rows, 1
-    finer, n = 4, torque.size
-    out = np.empty((len(rows), finer * (n - 1) + 1))
-    out[:, ::finer] = rows
-    for i, row in enumerate(rows):
-        # one sample beyond either end, on the parabola through the last three
-        first, last = (3.0 * (x[0] - x[1]) + x[2] if n > 2 else x[0] for x in (row, row[::-1]))
-        padded = np.concatenate([[first], row, [last]])
-        for k in range(1, finer):
-            out[i, k::finer] = later(padded, -k / finer, neighbours=2)[1:-2]
-    return out, finer
+    if not joint.delay or joint.by_target:
+        return torque[np.newaxis]
+    return np.stack([later(torque, s) for s in (joint.delays(vectors) / period).tolist()])
 
 
 def _impossible(joint: Joint, vectors: Array, elements: Array, load: Array) -> dict[str, Flags]:

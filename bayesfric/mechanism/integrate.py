@@ -255,7 +255,7 @@ def _step(plant: Plant, state: State, h: float) -> tuple[float, float]:
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _transmitted(plant: Plant, k: int, qdd: float, sign: float, pattern: int) -> float:
     """Return the transmitted torque of element k, positive where it agrees with the pattern."""
     value = (plant.lines[k, 0] * qdd + plant.lines[k, 1]) * sign

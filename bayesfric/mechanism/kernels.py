@@ -11,7 +11,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
@@ -137,7 +137,7 @@ def gravity_torque(load: Array, sin_q: float, cos_q: float) -> float:
     return float(load[GRAVITY] * load[FIRST_MOMENT] * sine)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples) -> Array:
     """Measured motor torque of ``n`` parameter vectors at ``N`` samples, eq. (13) in general."""
     n = elements.shape[0]
@@ -145,7 +145,7 @@ def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples)
     if n == 0:
         return out
     low = _low_speeds(elements, samples.speed)
-    for i in prange(n):
+    for i in range(n):
         _inverse(elements[i], load[i], carried[i], samples, low, elements[0], out[i])
     return out
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import copy
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,12 @@ from bayesfric.inference.discrepancy import Discrepancy, move_within_support
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.priors import joint_log_density, read_prior
 from bayesfric.inference.start import Start
-from bayesfric.inference.target import LogPosterior, Target
+from bayesfric.inference.target import Target
 from bayesfric.population.population import Varying, interval
 from bayesfric.recordings.arrays import Array
 
 
-class JointTarget(LogPosterior):
+class JointTarget(Target):
     """The log-posterior, as :func:`bayesfric.inference.sampling.sample` sees a target.
 
     ``posteriors`` of each run alone shape coordinates, starts and the prior of the spreads.
@@ -70,7 +71,7 @@ class JointTarget(LogPosterior):
         # a spread is sampled as its logarithm
         widths[self._spreads], upper[self._spreads] = np.nan, np.inf
         self.coordinates = BoundedCoordinates([p.lower for p in self.priors], upper, widths)
-        self.likelihood = SimpleNamespace(
+        self.likelihood: Any = SimpleNamespace(
             fast=all(t.likelihood.fast for t in targets), method="input-error"
         )
         self.not_finite = 0

@@ -8,7 +8,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -119,13 +119,6 @@ class Tables(Options):
     simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate'")
 
 
-class Origin(BaseModel):
-    """Original places of a run's configuration and recordings, ``source`` in ``summary.json``."""
-
-    folder: Path
-    recordings: dict[str, dict[str, str]]  # ``file`` and its ``sha256`` by name
-
-
 @dataclass(frozen=True)
 class Config:
     """A configuration and its file."""
@@ -133,7 +126,9 @@ class Config:
     path: Path
     text: str  # of the file
     tables: Tables  # validated options
-    origin: Origin | None = None  # of a run's configuration
+    # of a run's configuration ``source`` in ``summary.json``: its original folder, and by name of a
+    # recording the original file and its sha256
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def folder(self) -> Path:
@@ -141,22 +136,19 @@ class Config:
 
         If fitted files are missing there, it is the run's.
         """
-        origin = self.origin
-        if origin and all(Path(file["file"]).exists() for file in origin.recordings.values()):
-            return origin.folder
-        return self.path.parent
+        files = [Path(file["file"]) for file in self.origin.get("recordings", {}).values()]
+        is_there = self.origin and all(file.exists() for file in files)
+        return Path(self.origin["folder"]) if is_there else self.path.parent
 
     @staticmethod
-    def origin_of(recordings: Sequence[Measurement], folder: Path) -> Origin:
+    def origin_of(recordings: Sequence[Measurement], folder: Path) -> dict[str, Any]:
         """Record where the fitted files are; their names are relative to ``folder``."""
-        return Origin(
-            folder=folder.absolute(),
-            recordings={
-                r.name: {"file": str(r.path.absolute()), "sha256": r.sha256}
-                for r in recordings
-                if r.path
-            },
-        )
+        files = {
+            r.name: {"file": str(r.path.absolute()), "sha256": r.sha256}
+            for r in recordings
+            if r.path
+        }
+        return {"folder": str(folder.absolute()), "recordings": files}
 
     @property
     def priors(self) -> dict[str, PriorText]:
@@ -196,17 +188,17 @@ def read_toml(path: Path) -> str:
     return read_text(path, "name the .toml file")
 
 
-def _origin(path: Path) -> Origin | None:
-    """Read the origin of a run's configuration; ``None`` outside a run."""
+def _origin(path: Path) -> Mapping[str, Any]:
+    """Read the origin of a run's configuration; empty outside a run."""
     summary = path.with_name("summary.json")
     if path.name != RUN_CONFIG or not summary.is_file():
-        return None
+        return {}
     try:
-        origin = Origin.model_validate(read_json(summary)["source"])
-        complete = all({"file", "sha256"} <= file.keys() for file in origin.recordings.values())
-        return origin if complete else None
-    except (BadInput, ValueError, LookupError, TypeError):
-        return None
+        origin: dict[str, Any] = read_json(summary)["source"]
+        texts = [f[key] for f in origin["recordings"].values() for key in ("file", "sha256")]
+        return origin if all(isinstance(x, str) for x in (origin["folder"], *texts)) else {}
+    except (BadInput, LookupError, TypeError, AttributeError):
+        return {}
 
 
 def parse_config(text: str, path: Path) -> Config:

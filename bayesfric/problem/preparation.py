@@ -25,6 +25,7 @@ from bayesfric.inference.noise import MAX_ORDER, Autoregressive
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
@@ -98,7 +99,7 @@ def _read_all(
         recordings = [Recording(source, config.folder) for source in config.tables.recordings]
     for number, recording in enumerate(recordings, start=1):
         measurements += _read(config, chain, recording, number)
-    fitted = config.origin.recordings if config.origin else {}
+    fitted = config.origin.get("recordings", {})
     for k, r in enumerate(measurements):
         if r.name in fitted and fitted[r.name]["sha256"] != r.sha256:
             text = f"changed since the run was made: its SHA-256 was {fitted[r.name]['sha256']}"
@@ -113,6 +114,7 @@ def _with_band(
     """Filter to a band that preserves the inertia, or note that the requested one does not."""
     parts = divide(recordings, tables.processing, tables.validation)
     _check_signals(chain, fitted(parts)[1])
+    _check_positions(chain, *fitted(parts))
     attenuated = attenuations(chain, *fitted(parts), tables.processing)
     if not attenuated:
         return recordings, parts, {}
@@ -208,13 +210,46 @@ def _check_signals(chain: Joint, observations: Sequence[Signals]) -> None:
                 )
 
 
+def _check_positions(
+    chain: Joint, recordings: Sequence[Measurement], observations: Sequence[Signals]
+) -> None:
+    """Refuse torques that depend on the position, of which an integrated one lacks the origin."""
+    undelayed = replace(chain, delay=False)
+    names = ("the added mass", *undelayed.names)
+    vectors = np.eye(len(names))[:, 1:]  # each parameter alone, after none
+    for r, o in zip(recordings, observations, strict=True):
+        if not r.integrated:
+            continue
+        motions = ((q, o.qd, o.qdd) for q in (o.q, o.q + 1.0))
+        here, there = (
+            inverse_torque(undelayed, vectors, *motion, inputs=o.inputs, time=o.stamps)
+            for motion in motions
+        )
+        if (depends := np.any(here != there, axis=1)).any():
+            raise BadInput(
+                f"recording {o.name!r}",
+                f"has no position, on which {names[int(np.argmax(depends))]} depends",
+                "record it, or take this out of the mechanism",
+            )
+
+
 def _check_size(chain: Joint, observations: Sequence[Signals]) -> None:
     """Refuse fewer outputs than parameters."""
     outputs = sum(len(o.time) for o in observations)
     if outputs < len(chain.parameters):
+        reasons = {
+            "dropped_dead_zone": "where it stands or turns round (dead_zone)",
+            "dropped_trim": "at ends (trim)",
+            "dropped_excluded": "in or next to what is excluded",
+        }
+        lost = {
+            why: sum(int(o.settings[key]) for o in observations) for key, why in reasons.items()
+        }
+        most = max(lost, key=lost.__getitem__)
+        problem = f"{outputs} outputs after filtering, {len(chain.parameters)} parameters"
         raise BadInput(
             ", ".join(f"recording {o.name!r}" for o in observations),
-            f"too short: {outputs} outputs after filtering, {len(chain.parameters)} parameters",
+            problem + f"; {lost[most]} more were left out {most}" * bool(lost[most]),
             "record longer, or decimate less",
         )
 

@@ -12,6 +12,11 @@ Index = NDArray[np.int64]
 Segments = tuple[tuple[int, int], ...]
 
 
+def rms(x: Array) -> float:
+    """Root mean square of ``(n,)``."""
+    return float(np.sqrt(np.mean(x**2)))
+
+
 def runs(flags: Flags, begin: int = 0) -> Segments:
     """Give the ranges of flagged samples, the first of all being number ``begin``."""
     ends = begin + np.flatnonzero(np.diff(flags, prepend=False, append=False))

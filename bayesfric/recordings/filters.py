@@ -423,7 +423,8 @@ def _choose(
             ends.append((float(f[peak + ended[0]]), "position"))
         # A torque without power is no sufficient reason: a smoothly driven joint jolts when it
         # reverses, and inertia and friction balance at all frequencies.
-        if ratio[min(int(np.searchsorted(f, WIDEST * fs)), f.size - 1)] < 1e4:
+        unresolved = ratio[min(int(np.searchsorted(f, WIDEST * fs)), f.size - 1)] < 1e4
+        if unresolved and np.ptp(recording.torque):
             power = np.cumsum(torque * width)
             last = min(int(np.searchsorted(power, 0.999 * power[-1])), f.size - 1)
             ends.append((float(f[last]), "torque"))

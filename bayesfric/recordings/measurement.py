@@ -18,7 +18,7 @@ LEAST_SAMPLES = 50
 # Reference temperature of losses that depend on it, degrees Celsius.
 ROOM = 20.0
 # Interpolation of a torque between its samples.
-Hold = Literal["zero", "linear", "cubic"]
+Hold = Literal["zero", "linear"]
 
 # The causal low-pass that a signal passed before it was recorded: cut-off in Hz, -3 dB, and order,
 # 1 or, Butterworth, 2.
@@ -103,11 +103,28 @@ def make_grid(
             f"time: {len(ranges) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
             f"samples left out ({lost} samples)"
         )
-    if not 1e-6 <= period <= 1.0:
-        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
+    span = float(time[last - 1] - time[first])
+    if implausible(period, span):
+        warnings.append(
+            f"time: {count} samples in {span:.3g} s, one every {period:.3g} s, are of no joint's "
+            "motion; is the unit of time right?"
+        )
     segments = tuple(pairwise(np.cumsum([0, *(len(part) for part in times)]).tolist()))
     sentences, resampled = (tuple(steps), tuple(warnings)), jitter > most_jitter
     return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *sentences)
+
+
+def implausible(period: float, span: float) -> bool:
+    """Whether no joint is recorded so fast, so slowly, or for so short or long a time, in s."""
+    return not (2e-5 <= period <= 0.2 and 0.1 <= span <= 86400.0)
+
+
+def steady_grid(count: int) -> Grid:
+    """Make a grid of points at constant speeds, each a segment of its own, by their number."""
+    number = np.arange(count, dtype=np.float64)
+    segments = tuple((k, k + 1) for k in range(count))
+    step = f"time: none; {count} points at constant speed, without an acceleration"
+    return Grid(number, segments, number, segments, 1.0, False, (step,), ())
 
 
 def _evenly(stamps: Array, period: float) -> Array:
@@ -227,6 +244,14 @@ class Law:
         return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)
 
 
+def integral(rate: Array, segments: Segments, period: float) -> Array:
+    """Integrate a signal ``(n,)`` by trapezoids, from 0 in every segment."""
+    out = np.zeros_like(rate)
+    for a, b in segments:
+        out[a + 1 : b] = np.cumsum(0.5 * period * (rate[a : b - 1] + rate[a + 1 : b]))
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """One recorded file or table in memory in SI units; arrays have the shape (n,)."""
@@ -256,6 +281,8 @@ class Measurement:
     widest_band: float | None = None  # Hz, of a usable acceleration, where a model determines it
     late: float = 0.0  # delay of the position, s, where a model determines it; trimmed at both ends
     law: Law | None = None  # of the drive; None for a simulated replicate
+    integrated: bool = False  # whether the position is the integral of the velocity
+    steady: bool = False  # whether every sample is a segment of its own, at constant speed
 
     def part(self, samples: Index | slice, segments: Segments) -> Measurement:
         """Select samples, which then make up ``segments``."""

@@ -6,14 +6,17 @@ import csv
 import dataclasses
 import hashlib
 import io
+import itertools
+import re
 import warnings
 import zipfile
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,24 +27,36 @@ from bayesfric.base.options import Options
 from bayesfric.base.safe_read import check_file, parse_json, unreadable
 from bayesfric.recordings.tables import Table, is_number
 
-Format = Literal["csv", "hdf5", "mat", "json", "jsonl", "npy", "parquet", "npz", "ros"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+# fmt: off
+Format = Literal[
+    "csv", "xlsx", "hdf5", "mat", "json", "jsonl", "npy", "parquet", "npz", "ros", "mdf", "tdms",
+    "ulog", "wpilog",
+]
+# fmt: on
 
 
 class TableOptions(Options):
     """How a file is laid out."""
 
-    format: Format | None = Field(None, description="File format; by the suffix if left out.")
+    format: Format | None = Field(
+        None, description="File format; by the suffix, or else by the content, if left out."
+    )
     delimiter: Literal[",", ";", ":", "|", " ", "\t", "tab", "whitespace"] | None = Field(
         None,
         description="Text: the character between columns, or 'tab' or 'whitespace'; detected "
         "if left out.",
     )
-    decimal: Literal[".", ","] = Field(".", description="Text: decimal mark.")
+    decimal: Literal[".", ","] | None = Field(
+        None, description="Text: decimal mark; detected if left out."
+    )
     skip_rows: int = Field(0, ge=0, description="Text: lines to skip at the beginning of the file.")
     table: str | None = Field(
         None,
-        description="Nested files: dotted path of keys (or structs) to the rows or columns, "
-        "HDF5's path of groups, or the topic of a ROS bag.",
+        description="Nested files: dotted path of keys (or structs, or numbers of a list from 0) "
+        "to the rows or columns, path of groups, sheet, or topic of a ROS bag.",
     )
     where: dict[str, bool | int | float | str] = Field(
         default_factory=dict,
@@ -59,16 +74,14 @@ class TableOptions(Options):
 def read_table(path: Path, options: TableOptions) -> Table:
     """Open a recorded file; its columns are read when asked for.
 
-    The format goes by the suffix unless ``options`` give it.
+    The format goes by the suffix, or by the content, unless ``options`` give it.
     """
-    kind = options.format or ("ros" if _is_bag(path) else _SUFFIXES.get(path.suffix.lower()))
-    if kind != "ros" or not _is_bag(path):
-        hint = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag"
+    kind = options.format or _folder_kind(path)
+    if kind is None or not path.is_dir():
+        hint = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag or of LeRobot"
         if check_file(path, hint) == 0:
             raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
-    if kind is None:
-        problem = f"the suffix '{path.suffix}' is of no known format"
-        raise BadInput(str(path), problem, f"set format to {', '.join(_READERS)}")
+    kind = kind or _file_kind(path)
     with _damage_named(path, kind):
         table = _READERS[kind][0](path, options)
 
@@ -81,15 +94,15 @@ def read_table(path: Path, options: TableOptions) -> Table:
 
 def is_recording(path: Path) -> bool:
     """Whether something is a file, or a folder that is read as one."""
-    return path.is_file() or _is_bag(path)
+    return path.is_file() or _folder_kind(path) is not None
 
 
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file, or of the names and SHA-256 of a folder's sorted files."""
     try:
         if path.is_dir():
-            files = sorted(file for file in path.iterdir() if file.is_file())
-            names = "".join(f"{file.name}\0{sha256(file)}\n" for file in files)
+            files = _parquet_files(path) or sorted(x for x in path.iterdir() if x.is_file())
+            names = "".join(f"{x.relative_to(path)}\0{sha256(x)}\n" for x in files)
             return hashlib.sha256(names.encode()).hexdigest()
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -97,8 +110,39 @@ def sha256(path: Path) -> str:
         raise unreadable(path, error) from error
 
 
-def _is_bag(path: Path) -> bool:
-    return path.is_dir() and (path / "metadata.yaml").is_file()
+def _folder_kind(path: Path) -> Format | None:
+    """Return the format of a folder that is read as one recording."""
+    if (path / "metadata.yaml").is_file():
+        return "ros"
+    return "parquet" if (path / "meta" / "info.json").is_file() else None
+
+
+def _file_kind(path: Path) -> Format:
+    """Return a file's format by its suffix; of other files, and of text, by its first bytes."""
+    kind = _SUFFIXES.get(path.suffix.lower())
+    if kind not in (None, "csv"):
+        return kind
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(512)
+    except OSError as error:
+        raise unreadable(path, error) from error
+    for known, (_, _, magic) in _READERS.items():
+        if magic and start.startswith(magic):
+            return known
+    if kind is None and b"\0" in start and not start.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        hint = f"export it as CSV, or set format to {', '.join(_READERS)}"
+        raise BadInput(str(path), f"neither suffix '{path.suffix}' nor content is known", hint)
+    return "csv"
+
+
+def _library(path: Path, name: str, extra: str) -> Any:
+    """Import the library that reads a format, which only its users need."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        problem = f"is read by {name.partition('.')[0]}, which is not installed"
+        raise BadInput(str(path), problem, f"pip install 'bayesfric[{extra}]'") from error
 
 
 @contextmanager
@@ -139,10 +183,9 @@ def _cells(values: list[Any]) -> NDArray[Any]:
 
 
 def _read_delimited(path: Path, options: TableOptions) -> Table:
-    """Detect delimiter, header and a row of units; pandas takes the numbers out.
+    """Detect marks, header and a row of units; pandas takes the numbers out.
 
-    Unlike pandas' detection this refuses a decimal comma and rows of another width, with their
-    line.
+    Unlike pandas' detection this refuses rows of another width, with their line.
     """
     # pandas takes a third of a second to import, which only reading should cost
     import pandas as pd
@@ -152,10 +195,14 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
     if not lines:
         after = f" after {options.skip_rows} skipped lines" if options.skip_rows else ""
         raise BadInput(str(path), f"is empty{after}", "check whether the recorder wrote anything")
+    # of a commented header, as numpy.savetxt writes it, the mark is no cell
+    text = [line.lstrip("#").lstrip() if line.startswith("#") else line for line in text]
     head = [text[n - 1] for n in lines[:400]]
-    delimiter = _delimiter(path, head, options)
+    if any(map(_TRACE_VARIABLE.match, head)):
+        return _read_trace(path, [text[n - 1] for n in lines], options)
+    delimiter, decimal = _marks(head, options)
     rows = [_split(line, delimiter) for line in head]
-    flags = [[is_number(cell, options.decimal) for cell in row] for row in rows]
+    flags = [[is_number(cell, decimal) for cell in row] for row in rows]
     width = _width(flags)
     header, first = _find_header(path, lines, rows, flags, width)
     body = [text[n - 1] for n in lines[first:]]
@@ -170,7 +217,7 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
     try:
         frame = pd.read_csv(
             io.BytesIO("\n".join(body).encode()), sep=separator, header=None,
-            decimal=options.decimal, na_filter=False, skipinitialspace=True, low_memory=False,
+            decimal=decimal, na_filter=False, skipinitialspace=True, low_memory=False,
         )  # fmt: skip
     except (pd.errors.ParserError, ValueError) as error:
         problem = f"is not readable as CSV ({error})"
@@ -178,13 +225,31 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
     if frame.shape != (len(body), width):
         problem = f"has {len(body)} lines of {width} cells, read as {frame.shape[0]} rows of "
         raise BadInput(str(path), f"{problem}{frame.shape[1]}", "close the quotes")
+    table = _titled(path, frame, rows, lines, header, first)
+    comma = ("numbers have a decimal comma",) if decimal == "," else ()
+    return dataclasses.replace(table, decimal=decimal, notes=(*comma, *table.notes))
+
+
+def _titled(
+    path: Path,
+    frame: pd.DataFrame,
+    rows: Sequence[Sequence[str]],
+    lines: Sequence[int],
+    header: int | None,
+    first: int,
+) -> Table:
+    """Make a table of a frame of cells, whose names and units are in the ``rows`` above it."""
+    width = frame.shape[1]
     names, units, notes = [""] * width, list[str](), list[str]()
+    top = first if header is None else header
     if header is not None:
-        names = [rows[header][0].lstrip("#").strip(), *rows[header][1:]]
-        if first - header == 2:
+        names = list(rows[header])
+    if header is not None and first - header > 1:
+        if len(rows[header + 1]) == width:
             units = [cell.strip("[]()") for cell in rows[header + 1]]
             notes.append(f"line {lines[header + 1]} taken as a row of units and skipped")
-    top = first if header is None else header
+        else:
+            notes.append(f"line {lines[header + 1]} has {len(rows[header + 1])} cells, left out")
     if top:
         notes.append(f"{lines[top] - 1} lines above the table skipped")
     return Table(
@@ -194,7 +259,6 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
         units=units,
         lines=lines[first:],
         header=f"line {lines[top]}",
-        decimal=options.decimal,
         notes=tuple(notes),
     )
 
@@ -212,24 +276,21 @@ def _split(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _delimiter(path: Path, lines: Sequence[str], options: TableOptions) -> str:
-    """Return the given delimiter, or the one with which most cells are numbers."""
+def _marks(lines: Sequence[str], options: TableOptions) -> tuple[str, str]:
+    """Return delimiter and decimal mark: as given, or those with which most cells are numbers."""
+    delimiters = [",", ";", "\t", "|", "whitespace"]
     if options.delimiter:
-        return {"tab": "\t", " ": "whitespace"}.get(options.delimiter, options.delimiter)
-
-    def best(decimal: str) -> tuple[int, str]:
-        counts = list[tuple[int, str]]()
-        for delimiter in (",", ";", "\t", "|", "whitespace"):
-            cells = (_split(line, delimiter) for line in lines if delimiter != decimal)
+        names = {"tab": "\t", " ": "whitespace"}
+        delimiters = [names.get(options.delimiter, options.delimiter)]
+    counts = list[tuple[int, int, str, str]]()
+    for decimal in (options.decimal,) if options.decimal else (".", ","):
+        for delimiter in (mark for mark in delimiters if mark != decimal):
+            cells = (_split(line, delimiter) for line in lines)
             flags = [[is_number(cell, decimal) for cell in row] for row in cells]
             width = _width(flags)
-            counts.append((sum(sum(f) for f in flags if len(f) == width > 1), delimiter))
-        return max(counts, key=lambda count: count[0])
-
-    count, delimiter = best(options.decimal)
-    if options.decimal == "." and best(",")[0] > count:
-        raise BadInput(str(path), "its numbers have a decimal comma", 'set decimal = ","')
-    return delimiter
+            numbers = sum(sum(f) for f in flags if len(f) == width > 1)
+            counts.append((numbers, -width, delimiter, decimal))
+    return max(counts, key=lambda count: count[:2])[2:]
 
 
 def _width(flags: Sequence[Sequence[bool]]) -> int:
@@ -260,7 +321,15 @@ def _find_header(
         return 0, len(rows)
     while first > 0 and like[first - 1] and any(flags[first - 1]):
         first -= 1
+    # pandas' names of columns without one are 0, 1, ..., behind an empty name of its index
+    counted = [str(k) for k in range(width)]
+    decimals = all("." in cell for cell in rows[min(first + 1, len(rows) - 1)])
+    if list(rows[first]) in (["", *counted[:-1]], counted * decimals) and width > 1:
+        return first, first + 1
     if first and not like[first - 1] and any(flags[first - 1]):
+        # a serial log may begin within a row
+        if first == 1 or (like[first - 2] and not any(flags[first - 2])):
+            return first - 2 if first > 1 else None, first
         # data that would be lost silently
         problem = f"has {len(rows[first - 1])} cells, the rows below have {width}"
         hint = "correct the row, or set skip_rows if it is no row of the table"
@@ -273,25 +342,69 @@ def _find_header(
     return first - 1 - with_units, first
 
 
+# Traces of CODESYS and TwinCAT: "key; value" lines, and per variable a block of "; time; value".
+_TRACE_VARIABLE = re.compile(r"\d+\.Variable\s*;(.*)")
+
+
+def _read_trace(path: Path, lines: Sequence[str], options: TableOptions) -> Table:
+    """Read a PLC's trace, one column a variable with time stamps of its own."""
+    blocks = dict[str, list[list[str]]]()
+    for line in lines:
+        if name := _TRACE_VARIABLE.match(line):
+            rows = blocks.setdefault(name[1].strip(), [])
+        elif line.lstrip().startswith(";") and blocks:
+            rows.append([cell.strip() for cell in line.split(";")[1:3]])
+    columns = {name: ("", f"{name}/time") for name in blocks}
+
+    def load(key: str) -> NDArray[Any]:
+        name = key if key in blocks else key.removesuffix("/time")
+        return np.array([row[name == key] for row in blocks[name]], dtype=object)
+
+    return _stamped(path, columns, load, options.table, time_unit="")
+
+
+def _read_xlsx(path: Path, options: TableOptions) -> Table:
+    """Read a sheet, ``options.table`` if several hold cells, with its header as in text."""
+    import pandas as pd
+
+    _library(path, "openpyxl", "xlsx")
+    sheets = pd.read_excel(path, sheet_name=None, header=None, engine="openpyxl")
+    sheets = {str(name): sheet for name, sheet in sheets.items() if sheet.size}
+    frame = sheets[_one_of(path, list(sheets), options.table)]
+    cells = frame.astype(object).where(frame.notna(), "").head(400).to_numpy().tolist()
+    texts = [[str(cell).strip() for cell in row] for row in cells]
+    # titles above the table do not fill its columns
+    rows = [row[: max((n for n, cell in enumerate(row, 1) if cell), default=0)] for row in texts]
+    flags = [[is_number(cell) for cell in row] for row in rows]
+    lines = range(1, len(frame) + 1)
+    header, first = _find_header(path, lines, rows, flags, _width(flags))
+    return _titled(path, frame.iloc[first:].infer_objects(), rows, lines, header, first)
+
+
+def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
+    """Return the table that was named, or the only one."""
+    if wanted in names or (wanted is None and len(names) == 1):
+        return wanted or names[0]
+    known = ", ".join(map(repr, names[:20]))
+    if wanted is not None:
+        hint = f"it has {known}"
+        raise BadInput(f"{path}, table '{wanted}'", "there is no such table", hint)
+    raise BadInput(str(path), f"holds several tables ({known})", "name one with table")
+
+
 # --- JSON ---------------------------------------------------------------------------------------
 
 
 def _read_json(path: Path, options: TableOptions) -> Table:
-    """Read a list of objects, or an object of lists; one column a key.
+    """Read a list of objects or of rows of numbers, or an object of lists; one column a key.
 
     It is at the path ``options.table``, at the top, or the only list of objects in the file.
     """
     data = _inside(str(path), parse_json(str(path), _read_text(path)), options.table)
-    if options.table is None and isinstance(data, dict):
-        rows = [
-            key
-            for key, value in data.items()
-            if isinstance(value, list) and value and all(isinstance(row, dict) for row in value)
-        ]
-        if len(rows) > 1:
-            problem = f"holds several tables ({', '.join(map(repr, rows[:20]))})"
-            raise BadInput(str(path), problem, "name one with table")
-        data = data[rows[0]] if rows else data
+    where = "" if options.table is None else f"{options.table}."
+    while tables := _tables_in(data, where):
+        name = _one_of(path, list(tables), None)
+        data, where = tables[name], f"{name}."
     if isinstance(data, list):
         return _from_rows(path, data)
     if not isinstance(data, dict) or not any(isinstance(value, list) for value in data.values()):
@@ -319,20 +432,58 @@ def _read_json_lines(path: Path, options: TableOptions) -> Table:
 
 
 def _inside(where: str, data: Any, table: str | None) -> Any:
-    """Follow a dotted path of keys."""
+    """Follow a dotted path of keys, and of numbers of a list's items from 0."""
     for key in [] if table is None else table.split("."):
-        if not isinstance(data, dict) or key not in data:
-            known = ", ".join(map(repr, data)) if isinstance(data, dict) else ""
+        inner = data
+        if isinstance(data, list):
+            inner = {str(number): item for number, item in enumerate(data)}
+        if not isinstance(inner, dict) or key not in inner:
+            known = ", ".join(map(repr, list(inner)[:20])) if isinstance(inner, dict) else ""
             hint = f"it has {known}" if known else "give the path to the rows"
             raise BadInput(f"{where}, table '{table}'", f"there is no key '{key}'", hint)
-        data = data[key]
+        data = inner[key]
     return data
 
 
+def _tables_in(data: Any, path: str = "") -> dict[str, Any]:
+    """Find the tables by their paths inside an object or a list that is no table itself.
+
+    These are lists of objects, of rows that begin with time stamps, or of episodes: objects of
+    lists that are longer than there are objects, as samples are more than signals.
+    """
+    if isinstance(data, list):
+        values = [v for row in data if isinstance(row, dict) for v in row.values()]
+        if not any(isinstance(v, list) and len(v) > len(data) for v in values):
+            return {}
+        return {f"{path}{number}": item for number, item in enumerate(data)}
+    if not isinstance(data, dict):
+        return {}
+    lists = {key: v for key, v in data.items() if isinstance(v, list) and v}
+    objects = {key: v for key, v in lists.items() if all(isinstance(row, dict) for row in v)}
+    rows = {key: v for key, v in lists.items() if all(isinstance(row, list) for row in v)}
+    if len(rows) == len(lists) and all(map(_begins_with_stamps, rows.values())):
+        return {path + key: value for key, value in rows.items()}
+    inner = {key: _tables_in(v, f"{path}{key}.") or {path + key: v} for key, v in objects.items()}
+    return {key: value for tables in inner.values() for key, value in tables.items()}
+
+
+def _begins_with_stamps(rows: list[list[Any]]) -> bool:
+    """Whether the first values of rows of several numbers increase."""
+    stamps = np.array([row[0] if len(row) > 1 else None for row in rows], dtype=np.float64)
+    return stamps.size > 1 and bool(np.all(np.diff(stamps) > 0.0))
+
+
 def _from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -> Table:
-    """Make a table of objects, one a row, at some ``lines`` of the file."""
+    """Make a table of rows, objects or lists of numbers, at some ``lines`` of the file."""
     if not rows:
         raise BadInput(str(path), "holds no rows", "check the recorder's export")
+    if isinstance(rows[0], list):
+        width = len(rows[0])
+        unlike = (k for k, x in enumerate(rows) if not isinstance(x, list) or len(x) != width)
+        if (k := next(unlike, None)) is not None:
+            problem = f"is no list of {width} values, as row 1 is"
+            raise BadInput(f"{path}, row {k + 1}", problem, "cut it out")
+        return Table(str(path), [""] * width, lambda i: _cells([x[i] for x in rows]), by_rows=True)
     names = list(dict.fromkeys(key for row in rows if isinstance(row, dict) for key in row))
 
     def load(index: int) -> NDArray[Any]:
@@ -376,14 +527,26 @@ def _read_npz(path: Path, _: TableOptions) -> Table:
 
 
 def _read_parquet(path: Path, _: TableOptions) -> Table:
-    """Read a file, one column a field, each when asked for."""
+    """Read a file, or LeRobot's folder, one column a field, each when asked for.
+
+    Signals of a LeRobot feature are also columns by their names: ``observation.state.knee.pos``.
+    """
     # pyarrow takes long to import, which only reading Parquet should cost
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    schema = pq.read_schema(path)
+    files = _parquet_files(path)[1:] if path.is_dir() else [path]
+    if not files:
+        raise BadInput(str(path), "holds no data/**/*.parquet", "download the data, too")
+    schema, parts = pq.read_schema(files[0]), _lerobot_names(path)
+    names = list(schema.names)
+    places: list[tuple[int, int | None]] = [(index, None) for index in range(len(names))]
+    for feature in (name for name in parts if name in schema.names):
+        names += [f"{feature}.{part}" for part in parts[feature]]
+        places += [(schema.names.index(feature), k) for k in range(len(parts[feature]))]
 
     def load(index: int) -> NDArray[Any]:
+        index, part = places[index]
         kind, name = schema.types[index], schema.names[index]
         plain = getattr(kind, "value_type", kind)
         unlike = (pa.types.is_nested, pa.types.is_time, pa.types.is_duration, pa.types.is_binary)
@@ -391,13 +554,44 @@ def _read_parquet(path: Path, _: TableOptions) -> Table:
             problem = f"holds {str(kind)[:60]}, not numbers"
             raise BadInput(f"{path}, column '{name}'", problem, "export it as numbers")
         # by name: a name with a dot also selects a field inside a table
-        with pq.ParquetFile(path) as file:
-            column = file.read(columns=[name]).column(name)
+        column = pa.chunked_array(
+            [
+                c
+                for x in files
+                for c in pq.read_table(x, columns=[name], partitioning=None).column(name).chunks
+            ],
+            kind,
+        )
         if plain is kind and not column.null_count and not pa.types.is_decimal(kind):
             return np.asarray(column.to_numpy())
-        return _cells(column.to_pylist())
+        cells = _cells(column.to_pylist())
+        return cells if part is None else cells[:, part]
 
-    return Table(str(path), schema.names, load, by_rows=True)
+    units = ["s" if parts and name == "timestamp" else "" for name in names]
+    notes = ("timestamp: LeRobot writes frame_index / fps, not when it was measured",)
+    return Table(
+        str(path), names, load, units=units, by_rows=True, notes=notes if "s" in units else ()
+    )
+
+
+def _parquet_files(folder: Path) -> list[Path]:
+    """Return the description of a LeRobot data set and its files of samples."""
+    info = folder / "meta" / "info.json"
+    return [info, *sorted(folder.glob("data/**/*.parquet"))] if info.is_file() else []
+
+
+def _lerobot_names(path: Path) -> dict[str, list[str]]:
+    """Return the names of each feature's signals of a LeRobot folder, or of a file inside one."""
+    for folder in (path, *path.parents[1:3]):
+        if (info := folder / "meta" / "info.json").is_file():
+            names = dict[str, list[str]]()
+            for feature, about in parse_json(str(info), _read_text(info))["features"].items():
+                parts = about.get("names")
+                parts = next(iter(parts.values())) if isinstance(parts, dict) else parts
+                if about["dtype"].startswith("float") and parts:
+                    names[feature] = list(map(str, parts))
+            return names
+    return {}
 
 
 def _read_hdf5(path: Path, options: TableOptions) -> Table:
@@ -423,14 +617,8 @@ def _datasets(path: Path, table: str, *, matlab: bool) -> Table:
         file.visititems(visit)
     if not datasets:
         raise BadInput(str(path), "holds no datasets of numbers", "check the export")
-    groups = list(dict.fromkeys(name.rpartition("/")[0] for name in datasets))
-    table = table.strip("/") or (groups[0] if len(groups) == 1 else "")
-    prefix = f"{table}/" if table else ""
+    prefix = _prefix(path, datasets, table)
     names = [name.removeprefix(prefix) for name in datasets if name.startswith(prefix)]
-    if not names:
-        known = ", ".join(f"'{name}'" for name in groups[:20] if name)
-        hint = f"it has {known}" if known else "leave table out"
-        raise BadInput(f"{path}, table '{table}'", "there is no such group with datasets", hint)
 
     def load(index: int) -> NDArray[Any]:
         with h5py.File(path, "r") as file:
@@ -441,6 +629,9 @@ def _datasets(path: Path, table: str, *, matlab: bool) -> Table:
                 text = kind.decode() if isinstance(kind, bytes) and kind else dataset.dtype.name
                 where, problem = f"{path}, column '{names[index]}'", f"holds {text}, not numbers"
                 raise BadInput(where, problem, "export it as numbers")
+            if dataset.ndim > 2 and sorted(dataset.shape)[-3] > 1:
+                where, problem = f"{path}, column '{names[index]}'", f"has {dataset.ndim} axes"
+                raise BadInput(where, problem, "give a vector of one value a sample")
             if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
                 return np.empty(0)
             # MATLAB stores arrays transposed, and knows no vectors
@@ -448,6 +639,18 @@ def _datasets(path: Path, table: str, *, matlab: bool) -> Table:
             return np.squeeze(values.T if matlab else values)
 
     return Table(str(path), names, load, clocks=_clocks(names))
+
+
+def _prefix(path: Path, names: Sequence[str], wanted: str | None) -> str:
+    """Return the path of the group that is the table: as named, or the only one."""
+    groups = list(dict.fromkeys(name.rpartition("/")[0] for name in names))
+    group = (wanted or "").strip("/") or (groups[0] if len(groups) == 1 else "")
+    prefix = f"{group}/" if group else ""
+    if not any(name.startswith(prefix) for name in names):
+        known = ", ".join(f"'{name}'" for name in groups[:20] if name)
+        hint = f"it has {known}" if known else "leave table out"
+        raise BadInput(f"{path}, table '{group}'", "there is no such group of columns", hint)
+    return prefix
 
 
 def _clocks(names: Sequence[str]) -> dict[str, str]:
@@ -480,6 +683,154 @@ def _read_matlab(path: Path, options: TableOptions) -> Table:
     return Table(str(path), list(map(str, variables)), lambda index: np.asarray(values[index]))
 
 
+# --- measurement data files: signals with time stamps of their own ------------------------------
+
+
+def _stamped(
+    path: Path,
+    columns: Mapping[str, tuple[str, str]],
+    load: Callable[[str], NDArray[Any]],
+    wanted: str | None,
+    *,
+    time_unit: str = "s",
+    notes: tuple[str, ...] = (),
+) -> Table:
+    """Make a table of columns in groups, of which ``wanted`` is one.
+
+    Each has a unit and the name of its time stamps, which are columns, too; empty for none.
+    """
+    prefix = _prefix(path, list(columns), wanted)
+    used = {name: column for name, column in columns.items() if name.startswith(prefix)}
+    stamps = dict.fromkeys(clock for _, clock in used.values() if clock)
+    names = [*stamps, *used]
+    return Table(
+        str(path),
+        [name.removeprefix(prefix) for name in names],
+        lambda index: load(names[index]),
+        units=[*(time_unit for _ in stamps), *(unit for unit, _ in used.values())],
+        clocks={x.removeprefix(prefix): c.removeprefix(prefix) for x, (_, c) in used.items() if c},
+        notes=notes,
+        by_rows=True,
+    )
+
+
+def _read_mdf(path: Path, options: TableOptions) -> Table:
+    """Read an MDF file, one column a channel, named by its group if there are several."""
+    mdf = _library(path, "asammdf", "mdf").MDF(path)
+    columns, places = dict[str, tuple[str, str]](), dict[str, tuple[int, int]]()
+    for number, group in enumerate(mdf.groups):
+        label = getattr(group.channel_group, "acq_name", "") or f"group {number}"
+        label = f"{label} {number}" if f"{label}/time" in places else label
+        master = mdf.masters_db.get(number)
+        clock = "" if master is None else f"{label}/time"
+        places[f"{label}/time"] = (number, -1)
+        for index, channel in enumerate(group.channels):
+            if index != master:
+                unit = mdf.get_channel_unit(group=number, index=index) or ""
+                columns[f"{label}/{channel.name}"] = unit, clock
+                places[f"{label}/{channel.name}"] = number, index
+
+    def load(name: str) -> NDArray[Any]:
+        group, index = places[name]
+        values = mdf.get_master(group) if index < 0 else mdf.get(group=group, index=index).samples
+        return np.asarray(values)
+
+    return _stamped(path, columns, load, options.table)
+
+
+def _read_tdms(path: Path, options: TableOptions) -> Table:
+    """Read a TDMS file, one column a channel; a waveform's stamps are from its start and step."""
+    tdms = _library(path, "nptdms", "tdms").TdmsFile
+    with tdms.open(path) as file:
+        channels = {f"{g.name}/{c.name}": c for g in file.groups() for c in g.channels()}
+        about = {name: (dict(c.properties), len(c)) for name, c in channels.items()}
+    waves = dict[tuple[Any, ...], str]()
+    columns, stamps = dict[str, tuple[str, str]](), dict[str, tuple[Any, ...]]()
+    keys = ("wf_start_time", "wf_start_offset", "wf_increment")
+    starts = [p["wf_start_time"] for p, _ in about.values() if p.get("wf_start_time") is not None]
+    for name, (properties, count) in about.items():
+        clock, group = "", name.rpartition("/")[0]
+        if properties.get("wf_increment"):
+            wave = (group, *map(properties.get, keys), count)
+            named = f"{name if group in (w[0] for w in waves) else group}/time"
+            clock = waves.setdefault(wave, named)
+            stamps[clock] = wave[1:]
+        columns[name] = str(properties.get("unit_string", "")), clock
+
+    def load(name: str) -> NDArray[Any]:
+        if name in stamps:
+            start, offset, step, count = stamps[name]
+            since = 0.0 if start is None else (start - min(starts)) / np.timedelta64(1, "s")
+            return np.asarray(since + (offset or 0.0) + step * np.arange(count))
+        group, _, channel = name.rpartition("/")
+        with tdms.open(path) as file:
+            return np.asarray(file[group][channel][:])
+
+    return _stamped(path, columns, load, options.table)
+
+
+def _read_ulog(path: Path, options: TableOptions) -> Table:
+    """Read a PX4 log, one column a field of a topic; ``options.table`` is a topic."""
+    log = _library(path, "pyulog", "ulog").ULog(str(path))
+    columns, values = dict[str, tuple[str, str]](), dict[str, NDArray[Any]]()
+    for topic in log.data_list:
+        label = f"{topic.name}_{topic.multi_id}" if topic.multi_id else topic.name
+        clock = f"{label}/time"
+        values[clock] = topic.data["timestamp"] / 1e6  # in us since boot
+        for field, data in topic.data.items():
+            if field != "timestamp":
+                columns[f"{label}/{field}"], values[f"{label}/{field}"] = ("", clock), data
+    lost = sum(dropout.duration for dropout in log.dropouts)
+    notes = (f"{len(log.dropouts)} dropouts of {lost} ms in all",) if lost else ()
+    return _stamped(path, columns, values.__getitem__, options.table, notes=notes)
+
+
+_WPILOG_TYPES = {"double": "<f8", "float": "<f4", "int64": "<i8", "boolean": "?"}
+
+
+def _read_wpilog(path: Path, options: TableOptions) -> Table:
+    """Read WPILib's data log, version 1.0, one column an entry of numbers.
+
+    Records are in any order, with stamps in us; the last one may be cut off.
+    """
+    data = path.read_bytes()
+    if not data.startswith(b"WPILOG"):
+        raise BadInput(str(path), "is no WPILib data log", "give the .wpilog of a robot")
+
+    def text(at: int) -> str:
+        size = int.from_bytes(data[at : at + 4], "little")
+        return data[at + 4 : at + 4 + size].decode()
+
+    entries, records = dict[int, str](), dict[str, tuple[str, list[tuple[int, bytes]]]]()
+    at = 12 + int.from_bytes(data[8:12], "little")
+    while at < len(data):
+        head, parts = data[at], [at + 1]
+        for width in ((head & 3) + 1, (head >> 2 & 3) + 1, (head >> 4 & 7) + 1):
+            parts.append(parts[-1] + width)
+        entry, size, stamp = (
+            int.from_bytes(data[a:b], "little") for a, b in itertools.pairwise(parts)
+        )
+        begin, at = parts[-1], parts[-1] + size
+        if entry == 0 and data[begin] == 0:  # an entry starts: its number, name and type
+            name = text(begin + 5).lstrip("/")
+            entries[int.from_bytes(data[begin + 1 : begin + 5], "little")] = name
+            records.setdefault(name, (text(begin + 9 + len(text(begin + 5).encode())), []))
+        elif entry in entries and at <= len(data):
+            records[entries[entry]][1].append((stamp, data[begin:at]))
+    columns, values = dict[str, tuple[str, str]](), dict[str, NDArray[Any]]()
+    for name, (kind, rows) in records.items():
+        number = _WPILOG_TYPES.get(kind.removesuffix("[]"))
+        if rows and number:
+            rows.sort(key=lambda row: row[0])
+            columns[name] = "", f"{name}/time"
+            values[f"{name}/time"] = np.array([stamp for stamp, _ in rows]) / 1e6
+            if kind.endswith("[]"):
+                values[name] = _cells([np.frombuffer(cell, number) for _, cell in rows])
+            else:
+                values[name] = np.frombuffer(b"".join(cell for _, cell in rows), number)
+    return _stamped(path, columns, values.__getitem__, options.table)
+
+
 # --- ROS ----------------------------------------------------------------------------------------
 
 _STAMP, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
@@ -501,14 +852,10 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
     Columns are fields by path, as ``wrench.torque.z`` and ``data[3]``, and joints' signals by name,
     as ``effort[knee]``. ``received`` and stamps are in s since the first message.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        hint = "pip install 'bayesfric[ros]'"
-        raise BadInput(str(path), "is a ROS bag, read by rosbags", hint) from error
+    bags, types = (_library(path, f"rosbags.{name}", "ros") for name in ("highlevel", "typesys"))
     # bags of sqlite3 before ROS 2 Iron hold no definitions
-    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+    latest = types.get_typestore(types.Stores.LATEST)
+    with bags.AnyReader([path], default_typestore=latest) as reader:
         topic, kind, connections = _topic(path, reader, options.table)
         received, rows = list[int](), list[dict[str, Any]]()
         for connection, stamp, raw in reader.messages(connections=connections):
@@ -602,15 +949,21 @@ def _since_first(stamps: list[int]) -> NDArray[np.float64]:
     return np.array([(stamp - stamps[0]) / 10**9 for stamp in stamps])
 
 
-_READERS: dict[Format, tuple[Callable[[Path, TableOptions], Table], tuple[str, ...]]] = {
-    "csv": (_read_delimited, (".csv", ".tsv", ".txt", ".dat")),
-    "hdf5": (_read_hdf5, (".h5", ".hdf5")),
-    "mat": (_read_matlab, (".mat",)),
-    "json": (_read_json, (".json",)),
-    "jsonl": (_read_json_lines, (".jsonl", ".ndjson")),
-    "npy": (_read_npy, (".npy",)),
-    "parquet": (_read_parquet, (".parquet",)),
-    "npz": (_read_npz, (".npz",)),
-    "ros": (_read_bag, (".bag", ".mcap", ".db3")),
+# Reader, suffixes and first bytes of each format.
+_READERS: dict[Format, tuple[Callable[[Path, TableOptions], Table], tuple[str, ...], bytes]] = {
+    "csv": (_read_delimited, (".csv", ".tsv", ".txt", ".dat"), b""),
+    "xlsx": (_read_xlsx, (".xlsx", ".xlsm"), b""),
+    "hdf5": (_read_hdf5, (".h5", ".hdf5"), b"\x89HDF"),
+    "mat": (_read_matlab, (".mat",), b"MATLAB "),
+    "json": (_read_json, (".json",), b""),
+    "jsonl": (_read_json_lines, (".jsonl", ".ndjson"), b""),
+    "npy": (_read_npy, (".npy",), b"\x93NUMPY"),
+    "parquet": (_read_parquet, (".parquet",), b"PAR1"),
+    "npz": (_read_npz, (".npz",), b""),
+    "ros": (_read_bag, (".bag", ".mcap", ".db3"), b"\x89MCAP"),
+    "mdf": (_read_mdf, (".mf4", ".mdf"), b"MDF     "),
+    "tdms": (_read_tdms, (".tdms",), b"TDSm"),
+    "ulog": (_read_ulog, (".ulg",), b"ULog"),
+    "wpilog": (_read_wpilog, (".wpilog",), b"WPILOG"),
 }
-_SUFFIXES = {suffix: kind for kind, (_, suffixes) in _READERS.items() for suffix in suffixes}
+_SUFFIXES = {suffix: kind for kind, (_, suffixes, _) in _READERS.items() for suffix in suffixes}

@@ -41,8 +41,9 @@ def _text_of(*kinds: units.Kind) -> AfterValidator:
     """Check a text's dimension but keep the text, as the mechanism determines the kind."""
 
     def check(text: str) -> str:
-        if not units.quantity(text, *kinds) > 0:
-            raise Unfit("a positive value", f"got '{text}'")
+        if not (value := units.quantity(text, *kinds)) > 0:
+            turned = ", and sign = -1" if value < 0 and "torque_constant" in kinds else ""
+            raise Unfit(f"a positive value{turned}", f"got '{text}'")
         return text
 
     return AfterValidator(check)
@@ -60,13 +61,24 @@ class Channel(Options):
         description="Unit of the raw numbers, such as 'rad', 'rpm', 'N m', 'turn/4096', "
         "'9.84e-5 N m' (then a raw 1 is that much), or 'SI' for the SI unit."
     )
-    sign: Literal[1, -1] = Field(1, description="-1 turns the signal around.")
+    sign: Literal[1, -1, "by-speed"] = Field(
+        1,
+        description="-1 turns the signal around; 'by-speed', of torque and current, is for a sign "
+        "that means driving (+) or braking (-) in place of a direction.",
+    )
     twos_complement: int | None = Field(
         None,
         ge=2,
         le=53,
         description="Bits of a signed number recorded as unsigned: values from 2**(bits-1) up "
         "get 2**bits subtracted.",
+    )
+    sign_bit: int | None = Field(
+        None,
+        ge=1,
+        le=52,
+        description="Bit that is the sign of a number recorded as unsigned: values from 2**bit up "
+        "are negative, by as much as they are above it.",
     )
     times: str | int | None = Field(
         None,
@@ -81,6 +93,13 @@ class Channel(Options):
     @classmethod
     def _no_guess(cls, value: str) -> str:
         return units.known(value)
+
+    @field_validator("sign")
+    @classmethod
+    def _by_speed(cls, value: Any) -> Any:
+        if value == "by-speed" and not issubclass(cls, Torque | Current):
+            raise Unfit("1 or -1", "'by-speed' is for torque and current")
+        return value
 
     @field_validator("column", "times")
     @classmethod
@@ -118,8 +137,17 @@ class Velocity(Position):
 
 
 class Effort(Channel):
-    """What drives the joint: motor torque, force, current or voltage."""
+    """What drives the joint: motor torque, force, current or voltage; its number may be known."""
 
+    column: str | int = Field(
+        "", description="Column: its name in the header, or its number from 1; or 'value'."
+    )
+    unit: str = Field("", description="Unit of the column's raw numbers, as of the position.")
+    value: float | str | None = Field(
+        None,
+        description="What it is throughout, in place of a column: 0 of a motor that is off, or "
+        "text with its unit, such as '24 V'. 'torque = 0' is short for it.",
+    )
     sampled: Literal["instant", "average", "start", "end"] = Field(
         "instant",
         description="When a sample was taken: 'instant', at its stamp; or a mean over one "
@@ -132,6 +160,24 @@ class Effort(Channel):
         "half a sample later.",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, given: Any) -> Any:
+        is_value = isinstance(given, str | int | float) and not isinstance(given, bool)
+        return {"value": given} if is_value else given
+
+    @model_validator(mode="after")
+    def _column_or_value(self) -> Self:
+        given = [key for key in ("column", "value") if getattr(self, key) not in ("", None)]
+        if len(given) != 1:
+            got = "both" if given else "neither"
+            raise Unfit("a 'column', or a 'value' in place of it", f"got {got}")
+        if self.value is None and not self.unit:
+            raise Unfit("the 'unit' of the column", "got none")
+        if isinstance(self.value, float) and self.value:
+            raise Unfit("a number with its unit, such as '2 A'", f"got {self.value:g}")
+        return self
+
 
 class Torque(Effort):
     """The motor torque (or force) itself, or a signal proportional to it."""
@@ -142,6 +188,10 @@ class Torque(Effort):
     constant: str | None = Field(
         None, description="What turns the signal into a torque, such as '35.15 N/V'."
     )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [handler(core), {"type": ["number", "string"]}]}
 
 
 class Current(Effort):
@@ -195,7 +245,11 @@ class Columns(Options):
         None,
         description="Sampling rate in Hz, or text such as '1 kHz', if there is no time channel.",
     )
-    position: Position = Field(description="The position channel.")
+    position: Position | None = Field(
+        None,
+        description="The position channel; without it 'velocity' is integrated, and the mechanism "
+        "may hold nothing that depends on the position.",
+    )
     velocity: Velocity | None = Field(
         None,
         description="The velocity channel; if given it is used in place of the differentiated "
@@ -222,6 +276,11 @@ class Columns(Options):
         (),
         description="Further columns, such as another joint's position, speed or torque, that are "
         "asked whether they explain the torque.",
+    )
+    steady: bool = Field(
+        False,
+        description="true: every row is a point at constant speed, as of a friction curve, in any "
+        "order and without a time: speed and torque, no acceleration.",
     )
     start: Seconds | None = Field(
         None, description="Leave out what lies before, in seconds from the first stamp."
@@ -255,9 +314,16 @@ class Columns(Options):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if (self.time is None) == (self.rate is None):
+        if self.steady:
+            wrong = [k for k in ("time", "rate", "position", "target") if getattr(self, k)]
+            if wrong or self.velocity is None:
+                got = f"got '{wrong[0]}'" if wrong else "got no 'velocity'"
+                raise Unfit("'velocity' and torque alone of steady points", got)
+        elif (self.time is None) == (self.rate is None):
             got = "neither" if self.time is None else "both"
             raise Unfit("exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {got}")
+        if self.position is None and (self.velocity is None or self.target is not None):
+            raise Unfit("a 'position', or a 'velocity' where there is no 'target'", "got neither")
         drives = [key for key in ("torque", "current", "voltage") if getattr(self, key) is not None]
         if len(drives) > 1 or not (drives or self.target):
             got = " and ".join(f"'{key}'" for key in drives) or "none"
@@ -269,10 +335,17 @@ class Columns(Options):
         return self
 
     @property
+    def motion(self) -> Position:
+        """The position, or the velocity where there is none."""
+        channel = self.position or self.velocity
+        assert channel is not None
+        return channel
+
+    @property
     def channels(self) -> dict[str, Channel]:
-        """The channels that are given, by key."""
+        """The channels that have a column, by key."""
         channels = {key: getattr(self, key) for key in CHANNELS}
-        return {key: channel for key, channel in channels.items() if channel is not None}
+        return {key: x for key, x in channels.items() if x is not None and x.column != ""}
 
     @property
     def columns(self) -> list[str | int]:
@@ -396,8 +469,8 @@ class Recording:
     def from_arrays(
         cls,
         time: ArrayLike | None,
-        position: ArrayLike,
-        torque: ArrayLike | None = None,
+        position: ArrayLike | None,
+        torque: ArrayLike | float | None = None,
         *,
         units: Mapping[str, str] | None = None,
         side: Side | None = None,
@@ -410,7 +483,8 @@ class Recording:
         time
             Shape (n,); None if ``rate`` is given.
         position, torque
-            Shape (n,). In place of torque, ``current`` or ``voltage`` may be given.
+            Shape (n,). In place of torque, ``current`` or ``voltage`` may be given; 0, or text such
+            as ``"2 A"``, is the same throughout. Position may be None if ``velocity`` is given.
         units
             By channel, such as ``{"time": "ms", "position": "deg"}``; SI where none is given.
         side
@@ -420,7 +494,9 @@ class Recording:
             (n,); and what else there is to say.
         """
         keys |= {"time": time, "position": position, "torque": torque}
+        keys |= {k: {"value": x} for k, x in keys.items() if k in CHANNELS and np.isscalar(x)}
         names = [key for key in (*CHANNELS, "valid") if keys.get(key) is not None]
+        names = [key for key in names if not isinstance(keys[key], Mapping)]
         # copied, as the caller may change them
         try:
             arrays = [np.array(keys[name]) for name in names]
@@ -434,7 +510,7 @@ class Recording:
         cls,
         frame: pd.DataFrame,
         *,
-        position: Column,
+        position: Column | None = None,
         time: Column | None = None,
         torque: Column | None = None,
         units: Mapping[str, str] | None = None,
@@ -450,7 +526,8 @@ class Recording:
         position, time, torque
             Name of a column, or its number from 1, or a table of keys as in a configuration:
             ``{"column": "q", "unit": "turn/4096", "sign": -1}``. Without time give ``rate``, and
-            without torque ``current`` or ``voltage``.
+            without torque ``current`` or ``voltage``, or ``{"value": 0}``. Without position
+            give ``velocity``.
         units, side
             As in :meth:`from_arrays`.
         **keys
@@ -468,7 +545,7 @@ class Recording:
         cls,
         path: str | Path,
         *,
-        position: Column,
+        position: Column | None = None,
         time: Column | None = None,
         torque: Column | None = None,
         units: Mapping[str, str] | None = None,
@@ -507,7 +584,7 @@ class Recording:
     def filed(self, file: str) -> Source:
         """Give the keys of the recording once :meth:`saved` has made it a file of that name."""
         keys = self.source.model_dump(exclude_unset=True, exclude_none=True)
-        for channel in (keys[key] for key in CHANNELS if key in keys):
+        for channel in (keys[key] for key in self.source.channels):
             channel |= {k: self._header[channel[k]] for k in ("column", "times") if k in channel}
         if "valid" in keys:
             keys["valid"] = self._header[keys["valid"]]
@@ -534,7 +611,8 @@ def _checked(
     for key in (key for key in CHANNELS if key in document):
         column = document[key]
         channel = dict(column) if isinstance(column, Mapping) else {"column": column}
-        channel.setdefault("unit", (units or {}).get(key, SI))
+        if "value" not in channel:
+            channel.setdefault("unit", (units or {}).get(key, SI))
         if side is not None and key in ("position", "velocity", "target"):
             channel.setdefault("side", side)
         for constant in constants.get(key, ()):

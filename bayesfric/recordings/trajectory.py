@@ -45,6 +45,10 @@ class Trajectory:
 
 def trajectory(recording: Measurement, observation: Signals, length: float) -> Trajectory:
     """Cut a recording into segments of about ``length`` (s; may be infinite) where it is fast."""
+    if recording.integrated:
+        problem = "has no position, to which the output error compares a simulation"
+        hint = "record it, or leave output-error out"
+        raise BadInput(f"recording '{recording.name}'", problem, hint)
     computed = recording.back_emf is not None or recording.feedback is not None
     if computed and observation.inputs.torque_rate is not None:
         problem = "a simulation cannot delay a torque that was computed from a voltage or target"

@@ -62,7 +62,7 @@ def messages_of(read: Readable, contested: Sequence[str] | None = None) -> tuple
         notes += [{**values, "kind": kind} for kind, values in _of_model(summary, contested)]
     notes += [{"kind": "warning", "remark": text} for text in _gathered(summary)]
     if (emf := summary.fit.back_emf) is not None:
-        notes.append({"kind": "back-EMF", "remark": emf.meaning})
+        notes.append({"kind": "back-EMF", "remark": emf["meaning"]})
     if summary.may_be_simulated:
         notes.append({"kind": "simulated", "remark": line_of("simulated")})
     messages += [Message.model_validate({**note, "severity": "note"}) for note in notes]
@@ -76,7 +76,7 @@ def _of_model(
     for finding in sorted(summary.findings, key=lambda row: -row.details["share"]):
         if finding.severity == "note":  # else it is a doubt
             yield "missing", finding.of_kind("missing").model_dump(exclude={"kind", "remark"})
-    if rests := [f"{rest.recording} at {rest.start:.3g} s" for rest in summary.fit.rests]:
+    if rests := [f"{rest['recording']} at {rest['start']:.3g} s" for rest in summary.fit.rests]:
         yield "rests", {"rests": rests}
     test = summary.noise.innovation_whiteness
     if test is not None and not test["white"]:
@@ -134,7 +134,7 @@ def brief(summary: Readable, messages: Sequence[Message] | None = None) -> dict[
     findings = list(dict.fromkeys(message.brief for message in messages if message.brief))
     remedies = [r for direction in read.identifiability.directions for r in direction.remedies]
     # the recording that would determine what is open
-    following = next((remedy.text for remedy in remedies if remedy.kind == "known mass"), "")
+    following = next((r["text"] for r in remedies if r["kind"] == "known mass"), "")
     return {
         "recorded": _recorded(read),
         "outcome": read.verdict.outcome,
@@ -163,6 +163,8 @@ def _recorded(summary: Summary) -> str:
         if row.get("n_samples") and row.get("sampling_rate")
     ]
     names = ", ".join(recordings) if len(recordings) < 3 else f"{len(recordings)} recordings"
+    if points := sum(row["n_samples"] for row in recordings.values() if row.get("steady")):
+        names += f": {points} points at constant speed{', and others' if sampled else ''}"
     if not sampled:
         return names
     rates = sorted(rate for _, rate in sampled)

@@ -58,7 +58,7 @@ class Verdict:
     """Whether a run can be used."""
 
     outcome: Outcome
-    explained: float | None  # share of the torque's variance that the model explains
+    left: float | None  # rms that the model leaves, as a share of the torque's
     asked: int  # number of candidate effects that were tested
     doubtful: int  # number of quantities that a doubt concerns
 

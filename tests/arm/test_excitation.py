@@ -193,7 +193,7 @@ def test_csv_is_a_log_of_the_arm(arm, free, tmp_path):
         columns = np.array([frame[f"{key}[{name}] [{unit}]"] for key, unit in units.items()])
         expected = [*free.motion[:, j], free.torque[j]]
         assert columns == pytest.approx(np.array(expected), rel=1e-14, abs=1e-99)
-    recording, _ = layout_of(path, arm.bodies.joints, None)
+    recording, _ = layout_of(path, arm.bodies.joints, {})
     assert recording["position"]["column"] == "position[{joint}] [rad]"
     assert recording["torque"]["column"] == "effort[{joint}] [N m]"
 

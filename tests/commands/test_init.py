@@ -67,6 +67,10 @@ def test_a_file_is_replaced_only_by_force(bench):
     cases(
         ("nothing", [], ["PRESET", "--from"]),
         ("a table of nothing", ["motor-axis", "--table", "x"], ["--table", "--from LOG"]),
+        ("lines of nothing", ["motor-axis", "--skip-rows", "2"], ["--skip-rows", "--from LOG"]),
+        ("no such format", ["--from", "run.csv", "--format", "xls"], ["--format", "xlsx"]),
+        ("a column", ["--from", "column.txt"], ["column.txt", "one column"]),
+        ("another format", ["--from", "run.csv", "--format", "json"], ["run.csv"]),
         ("no such log", ["--from", "none.csv"], ["none.csv", "does not exist"]),
         ("no such preset", ["knee", "--from", "run.csv"], ["knee", "no such preset"]),
         ("a log of text", ["--from", "c.toml"], ["c.toml"]),
@@ -77,6 +81,7 @@ def test_a_file_is_replaced_only_by_force(bench):
     ),
 )
 def test_bad_arguments(bench, arguments, parts):
+    (bench.folder / "column.txt").write_text("0\n0.5\n1\n")
     has(bench.refused("init", *arguments), *parts)
 
 
@@ -113,7 +118,7 @@ def test_bad_arguments(bench, arguments, parts):
         ("torque_milli_Nm", "torque", "milli nm", ""),
         ("link_position", "position", "link", ""),
         ("foot_angle", "position", "foot", ""),
-        ("velocity_actual_606C", "velocity", "606 c", ""),
+        ("velocity_actual_606C", "velocity", "", ""),
     ],
 )
 def test_names_of_columns(name, channel, joint, unit):
@@ -192,12 +197,65 @@ def test_open_keys_are_refused_until_they_are_filled(bench):
     assert bench.run("check", "draft.toml").code == 0
 
 
+def test_speed_alone_is_a_log(bench):
+    speed = np.gradient(Q, T)
+    table = pd.DataFrame({"time_s": T, "velocity_rad_s": speed, "torque_Nm": TAU})
+    table.to_csv(bench.folder / "log.csv", index=False)
+    text, printed = drafted(bench, "log.csv")
+    has(printed, "position")
+    check_completed(bench, text)
+    table.drop(columns="time_s").iloc[::5].to_csv(bench.folder / "points.csv", index=False)
+    (bench.folder / "draft.toml").unlink()
+    text, _ = drafted(bench, "points.csv")
+    check_completed(bench, text.replace('rate = "? kHz"', "steady = true"))
+
+
+def test_a_known_number_suits_the_schema(validators):
+    columns = {"time": {"column": 1, "unit": "s"}, "position": {"column": 2, "unit": "rad"}}
+    recording = {"file": "a.csv", "torque": 0, **columns}
+    validators["configuration"].validate({"mechanism": {}, "recordings": [recording]})
+
+
 def test_the_first_of_several_joints(bench):
     logs.write_json_lines(bench.folder / "log.jsonl", *logs.numbers())
     text, printed = drafted(bench, "log.jsonl", "rabbit-knee")
     has(text, "# joint 0; others: 1", 'column = "q[0]"', 'side = "motor"')
     has(printed, "Joint 0; with --joint one of: 1")
     has(bench.refused("init", "--from", "log.jsonl", "--joint", "7"), "--joint 7", "0, 1")
+
+
+def test_every_column_is_described(bench):
+    """Its range and holes, what it is taken as, or why it is not: in JSON and on the terminal."""
+    table = pd.DataFrame({"t_s": T, "q_rad": Q, "target_q": Q, "tau_Nm": TAU, "flag": "on"})
+    table["effort"], table["i_q"], table.loc[:2, "q_rad"] = 0.0, TAU, np.nan
+    table.to_csv(bench.folder / "log.csv", index=False)
+    record = bench.record("init", "--from", "log.csv")
+    columns = {row["column"]: row for row in record["columns"]}
+    assert list(columns) == list(table)
+    taken = {name: row["taken"] for name, row in columns.items() if "taken" in row}
+    assert taken == {"t_s": "time", "q_rad": "position", "tau_Nm": "torque"}
+    assert all(("why" in row) != ("taken" in row) for row in columns.values())
+    assert (columns["q_rad"]["holes"], columns["q_rad"]["unit"]) == (3, "rad")
+    assert (columns["tau_Nm"]["low"], columns["tau_Nm"]["high"]) == (TAU.min(), TAU.max())
+    assert not columns["effort"]["moves"]
+    text, printed = drafted(bench, "log.csv")
+    has(printed, *columns, columns["flag"]["why"], "3 of 2000")
+    plain = bench.run("init", "--from", "log.csv").out
+    assert tomllib.loads(plain) == tomllib.loads(text)  # the table is a comment
+
+
+@pytest.mark.parametrize("arguments", [[], ["--decimal", ","], ["--format", "csv"]])
+def test_the_layout_that_was_detected_or_given_is_written(bench, arguments):
+    table = pd.DataFrame({"t_s": T, "q_rad": Q, "tau_Nm": TAU})
+    path = bench.folder / "log.asc"
+    table.to_csv(path, index=False, sep=";", decimal=",")
+    text, _ = drafted(bench, "log.asc", *arguments)
+    has(text, 'decimal = ","')
+    assert ("format" in text) == ("--format" in arguments)
+    path.write_text(f"12,5;7,5\n1,5;8,5\n{path.read_text()}")
+    text, _ = drafted(bench, "log.asc", *arguments, "--skip-rows", "2", "--force")
+    has(text, "skip_rows = 2")
+    check_completed(bench, text)
 
 
 def test_units_from_a_row_below_the_header(bench):
@@ -249,6 +307,7 @@ def test_real_logs(bench, real_data, file, columns, units):
         has(text, f'{{ column = "{column}", ')
     assert bench.run("check", "draft.toml").code == 2
     if units is not None:
+        text = text.replace('column = "load"', 'column = "load", twos_complement = 16')
         check_completed(bench, text, **units)
 
 
@@ -278,7 +337,8 @@ def test_every_key_is_printed_with_its_meaning(bench, validators, kind):
     text = " ".join(printed.split())
     schema = validators[kind].schema
     validators[kind].check_schema(schema)
-    for table in (schema, *schema["$defs"].values()):
+    models = (schema, *schema["$defs"].values())
+    for table in (part for model in models for part in model.get("anyOf", [model])):
         for name, key in table.get("properties", {}).items():
             assert re.search(rf"^{name}: ", printed, re.M), name
             assert " ".join(key["description"].split()) in text

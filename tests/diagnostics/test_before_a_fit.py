@@ -13,6 +13,7 @@ from bayesfric.diagnostics.before_a_fit import (
     little_explained,
     strange_velocity,
 )
+from bayesfric.diagnostics.explanation import too_few_outputs
 from bayesfric.diagnostics.statistics import LEAST_OUTPUTS
 from bayesfric.estimates.point_estimate import EstimatedValue
 from tests.axis import AXIS, VALUES
@@ -56,15 +57,16 @@ def test_unexplained_torque_is_doubted_where_it_is_no_white_noise(make_observati
         assert [x["share"] for x in doubts] == [share] * doubted
 
 
-def test_too_few_outputs_say_how_long_would_do():
+def test_too_few_outputs_say_how_many_would_do():
     def observations(*outputs):
-        t = np.linspace(3.0, 5.0, 50)
-        return [SimpleNamespace(measured=np.zeros(n), stamps=t) for n in outputs]
+        return [SimpleNamespace(measured=np.zeros(n), steady=False) for n in outputs]
 
-    assert list(few_outputs(observations(10, LEAST_OUTPUTS - 5), 5)) == []
-    (doubt,) = few_outputs(observations(10, LEAST_OUTPUTS - 6), 5)
+    enough, few = (observations(10, LEAST_OUTPUTS - missing) for missing in (5, 6))
+    assert list(few_outputs(enough, 5)) == []
+    assert [too_few_outputs(AXIS, x) for x in (enough, few)] == [None, "few"]
+    (doubt,) = few_outputs(few, 5)
     assert doubt["wanted"] == 5 + LEAST_OUTPUTS
-    assert doubt["seconds"] == 4.0 * (5 + LEAST_OUTPUTS) / (4 + LEAST_OUTPUTS)
+    assert doubt["times"] == (5 + LEAST_OUTPUTS) / (4 + LEAST_OUTPUTS)
 
 
 def test_settings_of_preprocessing_are_doubts_of_recordings():

@@ -11,8 +11,7 @@ from scipy.stats import norm
 
 import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation, calibration_check
-from bayesfric.diagnostics.regression import Replicate
-from bayesfric.diagnostics.statistics import REPLICATES, Autocorrelation
+from bayesfric.diagnostics.statistics import REPLICATES, Autocorrelation, Columns
 from bayesfric.fit.model import Model
 from bayesfric.inference.target import units_of
 from bayesfric.mechanism.inverse import inverse_torque
@@ -52,7 +51,9 @@ def test_a_replicates_fit_is_one_step_of_generalised_least_squares(target, size)
     assert target.names[-1] != "noise.sigma"
     values = AXIS.vector(VALUES) * [1.1, 0.9, 1.0, 1.05, 0.8]
     base, left = rng.standard_normal((where.outputs, 5)), size * rng.standard_normal(where.outputs)
-    median, result = checked(target, [Replicate(values, base, left, where)] * 2)
+    median, result = checked(
+        target, [(values, Columns(base, np.empty((len(base), 0)), left, where, ()))] * 2
+    )
     k = len(target.free)
     free = [AXIS.names.index(name) for name in target.free]
     assert len(free) == 4
@@ -81,7 +82,10 @@ def test_a_replicates_fit_is_one_step_of_generalised_least_squares(target, size)
 
 def test_a_check_that_is_not_made_has_a_reason(target):
     rest = SimpleNamespace()
-    replicate = Replicate(AXIS.vector(VALUES), np.ones((9, 5)), np.ones(9), laid_out(9))
+    replicate = (
+        AXIS.vector(VALUES),
+        Columns(np.ones((9, 5)), np.empty((9, 0)), np.ones(9), laid_out(9), ()),
+    )
     for state, reason in (
         ({"reason": "few"}, "few"),
         ({"rest": rest}, "rest"),

@@ -10,10 +10,9 @@ import pytest
 import bayesfric as bf
 from bayesfric.base.templates import placed
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
-from bayesfric.diagnostics.explanation import Explanation, finding_of, setting_of, too_few_outputs
+from bayesfric.diagnostics.explanation import Explanation, finding_of, setting_of
 from bayesfric.diagnostics.motion import MotionSignals, scales_of
 from bayesfric.diagnostics.regression import Finding
-from bayesfric.diagnostics.statistics import LEAST_OUTPUTS
 from bayesfric.estimates.point_estimate import HALF as MOVES
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import ParallelFilter
@@ -222,22 +221,12 @@ LOSING_INERT = {"load": bf.Load(), "elements": [LOSING, INERT_ARM]}
         ("gravity", {"load": bf.Load(first_moment=True)}, "load.gravity_angle = true"),
         ("torque_constant", {}, ""),
         ("elastic", {}, ""),
+        # waves belong to the shaft that turns so often
+        ("repeating: 12 a turn of the motor", {}, "elements.motor.cogging = [12]"),
+        ("repeating: 3 a turn of the joint", {}, "elements.arm.cogging = [3]"),
     ],
 )
 def test_settings_name_the_element_that_can_have_them(kind, more, line):
-    assert setting_of(replace(BARE, **more), BY_NAME[kind], "") == (line and f"mechanism.{line}")
-
-
-@pytest.mark.parametrize(("turns", "side"), [(12, "motor"), (3, "joint")])
-def test_waves_belong_to_the_shaft_that_turns_so_often(turns, side):
-    name = {"motor": "motor", "joint": "arm"}[side]
-    line = setting_of(BARE, BY_NAME["repeating"], f"{turns} a turn of the {side}")
-    assert line == f"mechanism.elements.{name}.cogging = [{turns}]"
-
-
-@pytest.mark.parametrize(("outputs", "reason"), [(2, "few"), (3, None)])
-def test_recordings_need_enough_outputs(outputs, reason):
-    chain = SimpleNamespace(names=("a", "b", "c"))
-    sizes = LEAST_OUTPUTS, outputs
-    observations = [SimpleNamespace(measured=np.zeros(n)) for n in sizes]
-    assert too_few_outputs(chain, observations) == reason
+    name, _, shape = kind.partition(": ")
+    setting = setting_of(replace(BARE, **more), BY_NAME[name], shape)
+    assert setting == (line and f"mechanism.{line}")

@@ -88,7 +88,8 @@ def whitened(d, *arrays, noise=None):
 @pytest.mark.parametrize(("size", "count"), [(1.0, 24), (0.0, 24), (0.0, 5)])
 def test_limit_and_probability_are_those_of_the_replicates_largest(size, count):
     r = selection(effect_of("offset", size), seed=3, number=count)
-    noise, _ = choose_autocorrelation(r.data.residual_with([]), r.data.layout)
+    mean = [number(r.data, "offset")]
+    noise, _ = choose_autocorrelation(r.data.residual_with(mean), r.data.layout)
     arguments = r.groups, [], 0.25
     recorded = score_candidates(replace(r.data, autocorrelation=noise), *arguments)
     z, null = standard_normal_scores(

@@ -11,7 +11,6 @@ from scipy.optimize import minimize_scalar
 from bayesfric.diagnostics.statistics import (
     DELAY,
     SINUSOID,
-    TRANSIENT,
     WHITE,
     Autocorrelation,
     Columns,
@@ -507,25 +506,3 @@ def test_a_statistic_that_a_recording_or_replicate_lacks_scores_nothing(undefine
     z, null = standard_normal_scores(sample(recorded), [sample(x) for x in t])
     assert z[0] == 0.0
     assert (null == 0.0).all()
-
-
-def test_scores_of_a_right_model_are_standard_normal():
-    """Scores of recordings drawn like their replicates are uniform, by Kolmogorov's test."""
-    rng = np.random.default_rng(3)
-    mix = np.array([[1.0, 0.3], [0.0, 0.8]])
-    scores, null_scores = [], []
-    for _ in range(300):
-        t, peaks = rng.standard_normal((25, 2)) @ mix, rng.gumbel(5.0, 1.0, 25)
-        recorded, *replicates = (
-            ([x[:1], x], np.zeros(2), (Scan(TRANSIENT, p, 1.0),))
-            for x, p in zip(t, peaks, strict=True)
-        )
-        z, null = standard_normal_scores(recorded, replicates)
-        scores.append(z)
-        null_scores.append(null[0])
-    for sampled in (scores, null_scores):
-        p = 2.0 * stats.norm.sf(sampled)
-        for column in p[:, :2].T:
-            assert stats.kstest(column, "uniform").pvalue > 1e-3
-        # mean and sd of a search are estimates: its tail is a little heavier than Gumbel's
-        assert np.mean(p[:, 2] < 0.1) == pytest.approx(0.1, abs=4.0 * np.sqrt(0.09 / 300))

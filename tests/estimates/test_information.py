@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.linalg import null_space
-from scipy.signal import lfilter
 
 from bayesfric.estimates.autoregression import lag_one, long_run_variance
 from bayesfric.estimates.information import Information, directions
@@ -156,11 +155,6 @@ def test_neighbours_correlation_is_the_mean_of_their_products():
     assert np.isfinite(lag_one(x[21:32], follows[21:31]))
 
 
-def autoregression(rng, n, rho, burn=200):
-    """First-order autoregression of innovations with variance one."""
-    return lfilter([1.0], [1.0, -rho], rng.standard_normal(n + burn))[burn:]
-
-
 def regressors(n, seed=0):
     """A constant and two slow waves: scores of these are as correlated as the errors."""
     t = np.arange(n) / n
@@ -168,31 +162,6 @@ def regressors(n, seed=0):
     return np.stack(
         [np.ones(n), np.sin(6 * np.pi * t + phase[0]), np.cos(14 * np.pi * t + phase[1])], axis=1
     )
-
-
-def test_robust_sds_are_those_of_autoregressive_errors():
-    n, rho, repeats = 600, 0.7, 300
-    x = regressors(n)
-    rng = np.random.default_rng(11)
-    estimated, claimed, plain = (np.empty((repeats, 3)) for _ in range(3))
-    for i in range(repeats):
-        y = autoregression(rng, n, rho)
-        solution = np.linalg.lstsq(x, y, rcond=None)[0]
-        information = Information(x, y - x @ solution, np.ones(3))
-        sds = np.array([information.sds(row) for row in np.eye(3)])
-        estimated[i], plain[i], claimed[i] = solution, sds[:, 0], sds[:, 1]
-    spread = estimated.std(axis=0, ddof=1)
-    # Andrews 1991: bias of the variance -1.4212 sqrt(alpha)/S² with the kernel's width S,
-    # and about -S d/n because residuals are less correlated than errors
-    alpha = 4 * rho**2 / (1 - rho) ** 4
-    width = 1.3221 * (alpha * n) ** 0.2
-    bias = 1.4212 * np.sqrt(alpha) / width**2 + 3 * width / n
-    ratio = np.sqrt((claimed**2).mean(axis=0)) / spread
-    error = 5 / np.sqrt(2 * repeats)
-    assert (ratio < 1.0 + error).all()
-    assert (ratio > np.sqrt(1.0 - bias) - error).all()
-    # the plain sd is too small by about sqrt((1 + rho)/(1 - rho)) = 2.4 on slow regressors
-    assert (spread / plain.mean(axis=0) > 2.0).all()
 
 
 def test_too_few_groups_fall_back_on_neighbours():

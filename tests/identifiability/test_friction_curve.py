@@ -66,29 +66,6 @@ def test_it_is_the_inverse_models_torque_without_the_load(open_scale):
     np.testing.assert_allclose(loss, sign * (torque - weight), rtol=1e-11)
 
 
-def test_with_the_load_it_is_half_of_what_lifting_takes_more_than_lowering():
-    """With equal constant losses in both directions, half sum and half difference."""
-    x = TRUTH.copy()
-    for element in ("motor", "joint"):
-        x[KNEE.names.index(f"{element}.coulomb_negative")] = x[
-            KNEE.names.index(f"{element}.coulomb_positive")
-        ]
-    load = np.full(2, 0.9)
-    up, down = friction_torque(KNEE, x[None], np.array([30.0, 30.0]), load * [1, -1],
-                               open_scale=True)[0]  # fmt: skip
-    lifting, lowering = up + load[0], load[0] - down
-    p = dict(zip(KNEE.names, x, strict=True))
-    bearing = (p["joint.coulomb_positive"] + p["joint.viscous"] * 30.0 / 50.0) / 50.0
-    motor = p["motor.coulomb_positive"] + p["motor.viscous"] * 30.0
-    one, two = (
-        (2 + p["gearbox.load_drive"] - p["gearbox.load_back"]) / 2,
-        (p["gearbox.load_drive"] + p["gearbox.load_back"]) / 2,
-    )
-    # eq. (13): Theta1 makes the half difference of the constant terms, Theta2 that of the load
-    assert (lifting - lowering) / 2 == pytest.approx(motor + one * bearing + two / one * load[0])
-    assert (lifting + lowering) / 2 == pytest.approx(load[0] + two * bearing)
-
-
 @pytest.mark.parametrize("factor", [0.75, 1.3])
 def test_the_ridge_leaves_it_alone(knee, factor):
     (scaling,) = scalings(KNEE)

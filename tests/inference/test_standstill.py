@@ -111,12 +111,12 @@ def test_standstills_within_the_law_are_no_violation(tmp_path):
 def test_standstills_beyond_the_law_bound_static_friction(tmp_path, share):
     result = fitted(share)
     (violation,) = result.summary.fit.rests
-    assert violation.recording == "bench"
-    assert violation.share > 0.9
-    assert MOVES - 0.3 < violation.start < violation.stop < T[-1]
+    assert violation["recording"] == "bench"
+    assert violation["share"] > 0.9
+    assert MOVES - 0.3 < violation["start"] < violation["stop"] < T[-1]
     # up to the noise and what is unknown
-    assert violation.beyond == pytest.approx((abs(share) - 1.0) * COULOMB, rel=0.15)
-    assert violation.held == pytest.approx(abs(share) * COULOMB, rel=0.1)
+    assert violation["beyond"] == pytest.approx((abs(share) - 1.0) * COULOMB, rel=0.15)
+    assert violation["held"] == pytest.approx(abs(share) * COULOMB, rel=0.1)
     (text,) = messages(result)
     assert "rest = true under [processing]" in text
     result.write(tmp_path / "run", draws=200)
@@ -125,7 +125,7 @@ def test_standstills_beyond_the_law_bound_static_friction(tmp_path, share):
     for form, name in (places | {"c": "about: static_friction"}).items():
         row = static_friction(tmp_path / "run", form, name)
         assert (row["at_least"], row["interval"]) == (True, None)
-        assert row["value"] == pytest.approx(violation.held, rel=0.02)
+        assert row["value"] == pytest.approx(violation["held"], rel=0.02)
 
 
 def test_a_fit_that_uses_its_standstills_is_not_checked():

@@ -238,7 +238,7 @@ def test_irreversible_gearbox_holds_a_raised_load_for_ever(q0, back, moment):
         assert abs(motion.qd[-1]) < 1e-6
 
 
-@pytest.mark.parametrize("hold", ["zero", "linear", "cubic"])
+@pytest.mark.parametrize("hold", ["zero", "linear"])
 def test_a_torque_between_samples_goes_as_it_is_told(hold):
     """A sine on a bare inertia, q = -sin(w t)/w² + t/w: an error each hold has its own order of."""
     w, errors = 2.0 * np.pi, []
@@ -246,9 +246,8 @@ def test_a_torque_between_samples_goes_as_it_is_told(hold):
         time = np.arange(n + 1) / n
         motion = simulate(axis(), [1.0], np.sin(w * time), 1.0 / n, hold=hold)
         errors.append(np.abs(motion.q - (time / w - np.sin(w * time) / w**2)).max())
-    # held comes half a sample late; straight lines cut the sine's corners; so do quarters of a
-    # sample of a cubic, a sixteenth as much
-    order, bound = {"zero": (1, 2e-2), "linear": (2, 2.5e-4), "cubic": (2, 3e-5)}[hold]
+    # held comes half a sample late; straight lines cut the sine's corners
+    order, bound = {"zero": (1, 2e-2), "linear": (2, 2.5e-4)}[hold]
     assert errors[1] < bound
     assert errors[0] / errors[1] > 0.8 * 2**order
 
@@ -260,43 +259,3 @@ def test_stribeck_raises_the_breakaway_torque():
     time = np.arange(1001) * 1e-3
     motion = simulate(chain, values, 0.4 * time, 1e-3)
     np.testing.assert_array_equal(motion.sticking, 0.4 * time <= 0.2 * 1.5 + 1e-15)
-
-
-@pytest.mark.parametrize("name", JOINTS)
-def test_energy_is_balanced(name):
-    """Work of the motor less a dissipated power that is never negative, by the element equation."""
-    chain, values, _ = JOINTS[name]
-    vector = chain.vector(values)
-    amplitude = {"everything": 0.6, "servo-pendulum": 4.0}.get(name, 1.0)
-    period, mass, radius = 1e-4, 1.2, 0.3
-    options = {"q0": 0.5, "inputs": Inputs(mass, radius), "substeps": 2}
-    motion = simulate(chain, vector, signal(period, 2.0, amplitude), period, **options)
-    assert motion.reversals >= 3
-    elements, load = (table[0] for table in chain.tables(vector[np.newaxis])[:2])
-    inertia = load[kernels.LOAD_INERTIA] + mass * radius**2
-    weight = load[kernels.GRAVITY] * (load[kernels.FIRST_MOMENT] + mass * radius)
-    angle = motion.q + load[kernels.GRAVITY_ANGLE]
-    torque = inertia * motion.qdd + weight * np.sin(angle)
-    to_input, dissipated, total = 1.0, 0.0, inertia
-    for e in elements[::-1]:
-        to_input *= e[kernels.RATIO]
-        total += e[kernels.INERTIA] * to_input**2
-        v, torque = to_input * motion.qd, torque / e[kernels.RATIO]
-        s = np.sign(v)
-        mu = np.where(torque * s > 0, e[kernels.LOAD_DRIVE], e[kernels.LOAD_BACK])
-        constant = np.where(s > 0, e[kernels.COULOMB_POSITIVE], e[kernels.COULOMB_NEGATIVE])
-        rise = 1 + e[kernels.STRIBECK_RATIO] * np.exp(-((v / e[kernels.STRIBECK_VELOCITY]) ** 2))
-        loss = (constant + mu * np.abs(torque)) * rise * s
-        loss = loss + e[kernels.VISCOUS] * v + e[kernels.QUADRATIC] * v * np.abs(v)
-        assert (loss * v >= 0).all()
-        dissipated = dissipated + loss * v
-        torque = torque + e[kernels.INERTIA] * to_input * motion.qdd + loss
-    energy = 0.5 * total * motion.qd**2 - weight * np.cos(angle)
-    driven = (load[kernels.GAIN] * motion.torque - load[kernels.OFFSET]) * to_input * motion.qd
-    power = driven - dissipated
-    work = np.trapezoid(power, dx=period)
-    # the trapezoid rule's error falls with the square of the step
-    error = abs(work - np.trapezoid(power[::2], dx=2 * period))
-    throughput = np.trapezoid(np.abs(driven), dx=period)
-    assert abs(energy[-1] - energy[0] - work) <= error + 1e-9 * throughput
-    assert error < 1e-5 * throughput

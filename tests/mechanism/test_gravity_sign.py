@@ -9,14 +9,9 @@ from pydantic import ValidationError
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.identifiability.next_recording import _equilibrium
-from bayesfric.inference.coordinates import choose_coordinates
-from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
-from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import PRESETS
-
-from .joints import signal
 
 ANGLE = "load.gravity_angle"
 KNEE, SERVO = PRESETS["rabbit-knee"], PRESETS["servo-pendulum"]
@@ -48,19 +43,6 @@ def test_a_configuration_takes_either_sign_and_no_zero():
             LoadOptions(gravity=bad)
 
 
-def test_inverse_and_forward_are_those_half_a_turn_on(case):
-    chain, turned, values = case
-    x = chain.vector(values)
-    q, qd, qdd = np.random.default_rng(1).normal(size=(3, 200))
-    torque = inverse_torque(chain, x, q + np.pi, qd, qdd)
-    np.testing.assert_allclose(inverse_torque(turned, x, q, qd, qdd), torque, atol=1e-12)
-    push = 0.3 * signal(2e-3)
-    above = simulate(turned, x, push, 2e-3, q0=0.1)
-    below = simulate(chain, x, push, 2e-3, q0=0.1 + np.pi)
-    np.testing.assert_allclose(above.q, below.q - np.pi, atol=1e-9)
-    np.testing.assert_allclose(above.qd, below.qd, atol=1e-9)
-
-
 def test_it_hangs_where_gravity_pulls_it_back(case):
     _, turned, values = case
     x = turned.vector(values)
@@ -68,26 +50,6 @@ def test_it_hangs_where_gravity_pulls_it_back(case):
     torque = inverse_torque(turned, x, [rest - 0.1, rest, rest + 0.1], np.zeros(3), np.zeros(3))
     assert torque[0] < 0.0 < torque[2]
     assert torque[1] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_likelihoods_agree_and_coordinates_round_trip(case, make_observation):
-    _, turned, values = case
-    o = make_observation(turned, values, n=800, factor=2, amplitude=2.0)
-    priors = read_priors(turned, {}, [o])
-    assert priors["load.first_moment"].upper > 0.0
-    target = make_target(turned, [o], priors, "shared")
-    x = np.concatenate([[values[name] for name in target.free], [0.01]])
-    rows = x * (1.0 + 0.02 * np.random.default_rng(2).standard_normal((50, x.size)))
-    u = target.from_parameters(rows)
-    back, jacobian = target.to_parameters(u)
-    np.testing.assert_allclose(back, rows, rtol=1e-8)
-    assert np.isfinite(jacobian).all()
-    prepared = target.precomputed(u)
-    np.testing.assert_allclose(prepared(u), target(u), rtol=1e-7)
-    # numbers of the coordinates are those of the same joint under gravity's usual sign
-    usual = choose_coordinates(upside_down(turned), priors)
-    k = len(target.free)
-    np.testing.assert_allclose(usual.from_parameters(rows[:, :k]), u[:, :k], rtol=1e-12)
 
 
 def test_estimates_find_it(case, make_observation):

@@ -5,11 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesfric.mechanism.derived import derive, efficiencies
+from bayesfric.mechanism.derived import efficiencies
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.mechanism.joint import PRESETS, Joint
-from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
 from tests.mechanism.joints import thetas
 
@@ -106,30 +105,6 @@ def test_a_known_added_mass_is_that_much_more_load():
     # where nothing moves there is no direction, and no dry friction
     still = inverse_torque(chain, x, [0.3], [0.0], [0.0])
     assert still == pytest.approx(9.80665 * v["load.first_moment"] * np.sin(0.3) / 50.0)
-
-
-def test_totals_are_theta1_plus_and_minus_theta2():
-    chain, x = table_3()
-    v = dict(zip(chain.names, x, strict=True))
-    theta_1, theta_2 = thetas(chain, v)
-    found = {d.name: float(d.values[0]) for d in derive(chain, x[None], 20.0)}
-    for side, total in (("drive", theta_1 + theta_2), ("back", theta_1 - theta_2)):
-        assert found[f"total_{side}.inertia"] == pytest.approx(total[0])
-        assert found[f"total_{side}.viscous"] == pytest.approx(total[1])
-        assert found[f"total_{side}.coulomb_positive"] == pytest.approx(total[2] + total[3])
-        assert found[f"total_{side}.coulomb_negative"] == pytest.approx(total[2] - total[3])
-        assert found[f"total_{side}.gravity"] == pytest.approx(total[4])
-    assert found["gearbox.lambda_ratio"] == pytest.approx(theta_1[4] / theta_2[4])
-    assert found["gearbox.alpha_drive"] == pytest.approx(0.7432)
-    assert found["gearbox.alpha_back"] == pytest.approx(1.408)
-    assert found["gearbox.lambda_1"] == pytest.approx(1.028, abs=5e-4)  # the notes' number
-
-
-def test_gauge_free_quantities_do_not_change_along_the_scaling():
-    chain, x = table_3()
-    for d in derive(chain, np.stack([x, scalings(chain)[0].scaled(x, 1.15)]), 20.0):
-        change = abs(d.values[1] / d.values[0] - 1.0)
-        assert (change < 1e-12) == d.gauge_free, d.name
 
 
 @pytest.mark.parametrize(

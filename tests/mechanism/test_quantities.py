@@ -56,10 +56,15 @@ def cases():
         yield from (pytest.param((q.name, p), id=f"{p}.{q.name}") for p in owners or [""])
     yield from (pytest.param((q, p), id=f"{p}.{q}") for q in CYCLES for p in ("motor", "load"))
     yield from (pytest.param((name, p), id=f"{p}.{name}") for name in OWN for p in PLACES)
+    # gravity of the other sign: the joint hangs where it stood
+    yield from (pytest.param((name, "upside down"), id=name) for name in ("load", "gravity_angle"))
 
 
 def chain_with(name, owner) -> Joint:
     """Give a knee of motor, gearbox and joint whatever brings the quantity at that place."""
+    if owner == "upside down":
+        chain = chain_with(name, "gearbox" if name == "load" else "load")
+        return replace(chain, load=replace(chain.load, gravity=-chain.load.gravity))
     options = {
         "motor": {"inertia": True, "coulomb": "symmetric", "viscous": True},
         "gearbox": {"load_loss": "two"},

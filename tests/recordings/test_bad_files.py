@@ -18,7 +18,7 @@ def test_a_bad_cell_is_named_by_file_column_row_and_line(tmp_path, cell):
     has(refused(tmp_path), "run.csv", "'q'", "row 50 (line 53)")
 
 
-@pytest.mark.parametrize("row", [1, 2, 30, 200])
+@pytest.mark.parametrize("row", [2, 30, 200])
 @pytest.mark.parametrize("cells", ["1.0,2.0", "1.0,x", "1.0", "1.0,2.0,3.0,4.0"])
 def test_ragged_row(tmp_path, row, cells):
     text = lines()
@@ -36,7 +36,6 @@ def constant(column):
 
 
 PLAIN = "\n".join(ROWS)
-COMMAS = "\n".join(line.replace(",", ";").replace(".", ",") for line in lines())
 PROSE = "This is a letter,\nnot a recording.\nYours, nobody\n\nP.S. none"
 VELOCITY = {"column": 9, "unit": "rad/s"}
 
@@ -51,13 +50,12 @@ VELOCITY = {"column": 9, "unit": "rad/s"}
         ("t,q,tau\n", source(), []),
         (PROSE, source(), []),
         (PLAIN, source(skip_rows=500), ["500"]),
-        (COMMAS, source(), ["decimal"]),
         (PLAIN.replace("\n", '\n"', 9), source(), []),  # an open quote
         *((empty, source(), []) for empty in ("", "\n\n", "\ufeff", "  ")),
         # time stamps and signals that make no sense
         *(("\n".join(rows), source(), parts) for rows, parts in (
             ([*ROWS[:17], ROWS[18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)"]),
-            ([*ROWS[:18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)"]),
+            ([*ROWS[:18], ROWS[17].replace(",", ",9"), *ROWS[19:]], ["'t'", "row 18 (line 19)"]),
             (constant(1), ["'q'"]),
             (constant(2), ["'tau'"]),
             (lines(30), ["30"]),

@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.readers import read_table, sha256
+from bayesfric.recordings.readers import TableOptions, read_table, sha256
 from bayesfric.recordings.source import Position
 from tests.recordings import file_formats
 
@@ -39,6 +39,7 @@ DIALECTS = {
     "hash": ["# " + HEADER, *lines()[1:]],
     "numpy": ["# made by hand", "# " + HEADER.replace(",", " "), *lines()[1:]],
     "blank lines": [*lines()[:30], "", *lines()[30:], "", ""],
+    "a serial log that begins within a row": [HEADER, "0.5,7.25", *lines()[1:]],
 }
 
 
@@ -60,14 +61,15 @@ def test_encodings(tmp_path, encoding):
 def test_decimal_comma(tmp_path, mark, delimiter):
     text = [line.replace(",", mark).replace(".", ",") for line in lines()]
     write(tmp_path, "\n".join(text))
-    same(read(tmp_path, source(decimal=",", delimiter=delimiter))[0])
+    for decimal in (",", None):
+        same(read(tmp_path, source(decimal=decimal, delimiter=delimiter))[0])
+    assert read_table(tmp_path / "run.csv", TableOptions()).decimal == ","
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".dat", ".CSV", ".log"])
 def test_headerless(tmp_path, suffix):
     write(tmp_path, "\n".join(["1,2,3", *lines(header=None)]), "run" + suffix)
-    keys = {"format": "csv"} if suffix == ".log" else {}
-    same(read(tmp_path, numbered("run" + suffix, skip_rows=1, **keys))[0])
+    same(read(tmp_path, numbered("run" + suffix, skip_rows=1))[0])
 
 
 def content():
@@ -107,6 +109,8 @@ def structs():
         ("json", None, nested([], rows=True)),
         ("json", None, nested(["entries"], rows=True)),
         ("json", "entries", nested(["entries"], rows=True)),
+        ("json", "test.1", json.dumps(
+            {"test": [{}, {k: [*v] for k, v in content().items()}]}).encode()),
     ],
 )  # fmt: skip
 def test_binary_formats_and_json(tmp_path, form, table, data):

@@ -21,11 +21,11 @@ def crowded():
 
 
 @pytest.mark.parametrize(
-    ("explained", "left"), [(1.0, "0 %"), (0.99, "10 %"), (0.0, "100 %"), (-3.0, "200 %")]
+    ("rms", "left"), [(0.0, "0 %"), (0.1, "10 %"), (1.0, "100 %"), (2.0, "200 %")]
 )
-def test_what_the_model_leaves_is_of_the_torque(explained, left):
+def test_what_the_model_leaves_is_of_the_torque(rms, left):
     summary = knee()
-    summary["fit"]["explained"] = explained
+    summary["fit"] |= {"residual_rms": 3.0 * rms, "measured_rms": 3.0}
     assert f"leaves {left}" in brief(summary)["verdict"]
 
 

@@ -17,9 +17,8 @@ from bayesfric.base.options import configuration_error
 from bayesfric.base.safe_read import read_json
 from bayesfric.estimates import Method
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
-from bayesfric.identifiability.identification import OpenDirection, SpeedTerm
+from bayesfric.identifiability.identification import OpenDirection
 from bayesfric.identifiability.local import WIDE
-from bayesfric.inference.posterior import StictionViolation
 from bayesfric.mechanism.quantities import turned
 from bayesfric.report.words import clause, line_of, words_of
 from bayesfric.results.reported import (
@@ -353,13 +352,15 @@ class Residual(Part):
     """What the posterior leaves unexplained, recording by recording."""
 
     residual_rms: NotNegative | None = None
+    measured_rms: NotNegative | None = None  # of the torque itself
+    # share of the torque's variance, of which an offset explains nothing
     explained: Annotated[FiniteFloat, Field(le=1.0)] | None = None
     unit: str = ""
     quantity: str = "output"
     # N m/A or N/A, where all that is explained was measured as a current
     torque_constant: FiniteFloat | None = None
-    back_emf: SpeedTerm | None = None  # where a torque comes from a voltage
-    rests: list[StictionViolation] = []  # standstills that were not used
+    back_emf: dict[str, Any] | None = None  # where a torque comes from a voltage
+    rests: list[dict[str, Any]] = []  # standstills that were not used
     recordings: dict[Name, dict[str, Any]] = {}  # how each was processed, and what is left of it
 
 
@@ -482,7 +483,9 @@ class Summary(Part):
             tested=tested is not None,
         )
         doubtful = sum(r.doubtful for n, r in self.rows.items() if not of_noise(n))
-        return Verdict(outcome, self.fit.explained, tested["asked"] if tested else 0, doubtful)
+        left, total = self.fit.residual_rms, self.fit.measured_rms
+        share = left / total if left is not None and total else None
+        return Verdict(outcome, share, tested["asked"] if tested else 0, doubtful)
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:

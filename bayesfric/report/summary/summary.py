@@ -125,13 +125,16 @@ def _sampler(posterior: Posterior) -> Sampler:
 def _residual(fit: Fit) -> Residual:
     outputs, observations = fit.target.likelihood.outputs, fit.observations
     of_torque = fit.target.likelihood.method != "output-error"
-    # each recording about its own mean: an offset explains nothing
-    total = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in observations)
+    measured = np.concatenate([o.measured for o in observations])
+    # an offset explains nothing: one of each recording, or of all
+    alike = [o.measured for o in observations] if fit.chain.own_offsets else [measured]
+    total = sum(float(np.sum((x - x.mean()) ** 2)) for x in alike)
     left = sum(float(r @ r) for r in fit.residuals)
     constants = {o.settings.get("torque_constant") for o in observations}
     (constant,) = constants if len(constants) == 1 and of_torque else (None,)
     return Residual(
         residual_rms=rms_of(np.concatenate(fit.residuals)),
+        measured_rms=rms_of(measured) if of_torque else None,
         # any simulated position is near the measured one
         explained=1.0 - left / total if of_torque and total > 0.0 else None,
         torque_constant=None if constant is None else float(constant),
