@@ -147,6 +147,8 @@ def _log_configuration(
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
     unknown = list(log.problems)
+    if "position" not in channels:
+        unknown.append("the position: no column is named so, and the velocity will be integrated")
     if preset is None:
         unknown.append(f"the mechanism: {chosen} is used, as no PRESET was named")
     if geared:
@@ -282,12 +284,13 @@ def _others(preset: str) -> list[str]:
 
 
 def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
-    """Return the keys of every channel; position and torque always."""
+    """Return the keys of every channel; torque always, and position if there is no velocity."""
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
     channels = {}
     for channel in ("time", "position", "velocity", drive):
         column, unit = log.chosen.get(channel, (OPEN, ""))
-        if column != OPEN or channel in ("position", drive):
+        required = channel == drive or (channel == "position" and "velocity" not in log.chosen)
+        if column != OPEN or required:
             side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
             keys = {"column": column, "unit": unit or OPEN}
             channels[channel] = keys | side | _CONSTANTS.get(channel, {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -128,6 +129,26 @@ def check_signs(values: Array, where: str, signal: str) -> None:
         f"the {signal} is {low:.6g} or less, or {high:.6g} and more in {share:.2g} % of the rows"
     )
     raise BadInput(where, problem, f"where its sign is a bit, write {key}")
+
+
+def fresh_rows(signals: Sequence[Array]) -> tuple[Index, Flags, int] | None:
+    """Return the rows of signals ``(n,)`` with new values, if values are held over several rows.
+
+    Also flags of these rows, and over how many values are held. Values that repeat by chance do so
+    in one signal at a time; held ones change together. Where they last twice as long, at a
+    standstill or where a drive does not answer, rows remain at the same pace, with a flag.
+    """
+    changes = np.array([np.append(True, np.diff(x) != 0.0) for x in signals])
+    together, new = changes.all(axis=0), changes.any(axis=0)
+    first = np.flatnonzero(new)
+    hold = int(np.median(np.diff(first))) if first.size > 1 else 1
+    if hold < 2 or together.sum() < 0.9 * changes.sum(axis=1).min():
+        return None
+    last = np.cumsum(new) - 1
+    since, lasts = np.arange(new.size) - first[last], np.diff(np.append(first, new.size))[last]
+    stale = ~new & (lasts > 2 * hold)
+    rows = np.flatnonzero(new | stale & (since % hold == 0))
+    return rows, stale[rows], hold
 
 
 # --- motion and standstill ----------------------------------------------------------------------

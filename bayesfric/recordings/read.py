@@ -114,7 +114,8 @@ def read_recordings(
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
-    source, table, time = _aligned(source, table, drive)
+    source, table, time = aligned(source, table, drive)
+    table, time, stale, warnings = _fresh(source, table, time)
     table = table.with_ones(len(time))
     steps, position, velocity = list(table.notes), None, None
     if source.position is not None:
@@ -138,7 +139,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
         checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
-    warnings = [*grid.warnings, *_count_warnings(source, table, chosen)]
+    warnings += [*grid.warnings, *_count_warnings(source, table, chosen)]
     for key, signed in source.channels.items():
         if key in _MEASURED and not source.steady:
             checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
@@ -173,8 +174,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
     motor_speed = np.zeros(joint.shape) if speed is None else speed
-    if speed is None and (law.back_emf or law.kd):
+    by_speed = channel.sign == "by-speed"
+    if speed is None and (law.back_emf or law.kd or by_speed):
         motor_speed = _differentiated(joint, grid, processing)
+    if by_speed:
+        law = replace(law, command=law.command * np.sign(drive.ratio * motor_speed))
+        torque_step += ", positive where it drives"
     torque = law.drives(joint, motor_speed)
     back_emf = law.back_emf * motor_speed if law.back_emf else None
     if back_emf is not None:
@@ -182,6 +187,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
     off, excluded = _excluded(source, table, grid, warnings)
+    excluded |= grid.linear(stale.astype(np.float64)) > 0.0
     if source.steady:
         excluded |= speed == 0.0
     if excluded.any():
@@ -221,7 +227,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 # --- columns ------------------------------------------------------------------------------------
 
 
-def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
+def aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
     """Bring all columns, decoded, to the rows and time stamps of the motion.
 
     Returns these stamps, too, in s since the recording's first.
@@ -246,14 +252,14 @@ def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
             own = source.time.model_copy(update={"column": clock})
             source = source.model_copy(update={"time": own})
         table = table.without_repeats(source.columns, clock)
-    source, table = _decoded(source, table, drive)
+    source, table = decoded(source, table, drive)
     time = recorded_time(source, table, table.values(first if clock is None else clock).size)
     stamps = time if clock is None else table.stamps(clock)
     table, rows = table.aligned(source.columns, first, clock, stamps, source.valid)
     return source, table, time[rows]
 
 
-def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
+def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
     """Decode signs and counters that wrap, and leave out failed reads, before any interpolation."""
     decoded, notes, update = dict[str | int, Array](), list[str](), dict[str, Channel]()
     wraps = dict[str, tuple[float, float, float]]()  # median, turn and SI unit of a raw 1
@@ -282,7 +288,11 @@ def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
             turn = 2.0 * np.pi / factor if motion == "rotary" else None
         if key in ("time", "position", "target") and np.isfinite(values).any():
             values, modulus, jumps = checks.unwrapped(values, turn)
-            wraps[key] = float(np.nanmedian(values)), modulus, factor * channel.sign
+            wraps[key] = (
+                float(np.nanmedian(values)),
+                modulus,
+                factor * (-1 if channel.sign == -1 else 1),
+            )
             if jumps:
                 what = "a turn" if modulus == turn else f"{modulus:.0f} counts"
                 notes.append(f"{key}: jumps by {what} at {jumps} places, unwrapped")
@@ -300,9 +310,29 @@ def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
     return source.model_copy(update=update), table.decoded(decoded, notes)
 
 
+def _fresh(source: Columns, table: Table, time: Array) -> tuple[Table, Array, Flags, list[str]]:
+    """Leave rows out that repeat motion and torque, as of a drive that answers more slowly.
+
+    Also flags rows that last longer than usual.
+    """
+    channels = source.channels
+    moved = [channels[key].column for key in ("position", "velocity") if key in channels]
+    drive = [channels[key].column for key in ("torque", "current", "voltage") if key in channels]
+    signals = [table.values(column) for column in (*moved, *drive)]
+    fresh = None
+    if drive and np.ptp(signals[-1]) and not source.steady:
+        fresh = checks.fresh_rows(signals)
+    if fresh is None:
+        return table, time, np.zeros(time.size, dtype=np.bool_), []
+    new, stale, hold = fresh
+    text = f"time: values are held over {hold} rows; those that repeat are left out ({len(new)} "
+    text += f"of {time.size} remain), and not compared where they last twice as long"
+    return table.part(new, time.size), time[new], stale, [text]
+
+
 def _signed(channel: Channel, table: Table) -> Array:
     """Return a channel's decoded numbers with their sign, before any factor, shape (n,)."""
-    return table.column(channel.column) * channel.sign
+    return table.column(channel.column) * (1 if channel.sign == "by-speed" else channel.sign)
 
 
 def _factor(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> float:
@@ -497,7 +527,8 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     kp, kd = kp * to_side, kd * to_side
     # no drive holds a mean over the sample
     held = target.held and target.sampled == "instant"
-    step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
+    towards = target.value or f"column '{target.column}'"
+    step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""
     return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step
 

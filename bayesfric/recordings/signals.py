@@ -380,7 +380,8 @@ def _filter_and_lay_windows(
         problem = f"trim = {trim * recording.period:.3g} s leaves no segment of {length} samples"
         raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
     if included == 0:
-        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
+        problem = "what is not compared (excluded, not valid, or held for long) leaves no output"
+        raise BadInput(f"{where}, exclude", problem, "exclude less, or log each answer once")
     windows = lay_windows(taps, parts, filters.factor, moving, share)
     resolution = filters.resolution
     settings: Settings = {

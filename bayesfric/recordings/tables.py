@@ -180,6 +180,12 @@ class Table:
             return replace(self, rows=rows, count=count)
         return replace(self, rows=self.rows[rows])
 
+    def part(self, rows: Index, count: int) -> Table:
+        """Select some of ``count`` rows, also of columns that were interpolated."""
+        table = self.at(rows, count)
+        table._columns.update({key: values[rows] for key, values in self._columns.items()})
+        return table
+
     def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
         """Select the rows in which columns equal values."""
         table = self
