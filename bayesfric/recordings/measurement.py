@@ -244,11 +244,16 @@ class Law:
         return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)
 
 
-def integral(rate: Array, segments: Segments, period: float) -> Array:
-    """Integrate a signal ``(n,)`` by trapezoids, from 0 in every segment."""
-    out = np.zeros_like(rate)
+def integral(rate: Array, segments: Segments, period: float, speed: Array | None = None) -> Array:
+    """Integrate a signal ``(n,)`` from 0 in every segment; it jumps where the speed is 0."""
+    share, out = np.full(rate.size - 1, 0.5), np.zeros_like(rate)
+    if speed is not None:
+        before, after = speed[:-1], speed[1:]
+        turns = before * after < 0.0
+        share[turns] = before[turns] / (before[turns] - after[turns])
+    steps = period * (share * rate[:-1] + (1.0 - share) * rate[1:])
     for a, b in segments:
-        out[a + 1 : b] = np.cumsum(0.5 * period * (rate[a : b - 1] + rate[a + 1 : b]))
+        out[a + 1 : b] = np.cumsum(steps[a : b - 1])
     return out
 
 

@@ -114,7 +114,7 @@ def read_recordings(
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
-    source, table, time = _aligned(source, table, drive)
+    source, table, time = aligned(source, table, drive)
     table, time, stale, warnings = _fresh(source, table, time)
     table = table.with_ones(len(time))
     steps, position, velocity = list(table.notes), None, None
@@ -227,7 +227,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 # --- columns ------------------------------------------------------------------------------------
 
 
-def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
+def aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
     """Bring all columns, decoded, to the rows and time stamps of the motion.
 
     Returns these stamps, too, in s since the recording's first.
@@ -252,14 +252,14 @@ def _aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
             own = source.time.model_copy(update={"column": clock})
             source = source.model_copy(update={"time": own})
         table = table.without_repeats(source.columns, clock)
-    source, table = _decoded(source, table, drive)
+    source, table = decoded(source, table, drive)
     time = recorded_time(source, table, table.values(first if clock is None else clock).size)
     stamps = time if clock is None else table.stamps(clock)
     table, rows = table.aligned(source.columns, first, clock, stamps, source.valid)
     return source, table, time[rows]
 
 
-def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
+def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
     """Decode signs and counters that wrap, and leave out failed reads, before any interpolation."""
     decoded, notes, update = dict[str | int, Array](), list[str](), dict[str, Channel]()
     wraps = dict[str, tuple[float, float, float]]()  # median, turn and SI unit of a raw 1
@@ -272,7 +272,9 @@ def _decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Tabl
             sign = 2.0**channel.sign_bit
             values = np.where(values >= sign, sign - values, values)
         if key in _MEASURED and not source.steady:
-            failed = checks.failed_reads(values)
+            # a motion does not jump; a drive may be off for longer
+            most = None if key in ("position", "velocity") else 5
+            failed = checks.failed_reads(values, most)
             if failed.any():
                 values = np.where(failed, np.nan, values)
                 where = (
@@ -525,7 +527,8 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     kp, kd = kp * to_side, kd * to_side
     # no drive holds a mean over the sample
     held = target.held and target.sampled == "instant"
-    step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
+    towards = target.value or f"column '{target.column}'"
+    step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""
     return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step
 

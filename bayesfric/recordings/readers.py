@@ -531,10 +531,7 @@ def _read_parquet(path: Path, _: TableOptions) -> Table:
 
     Signals of a LeRobot feature are also columns by their names: ``observation.state.knee.pos``.
     """
-    # pyarrow takes long to import, which only reading Parquet should cost
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    pa, pq = (_library(path, name, "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     files = _parquet_files(path)[1:] if path.is_dir() else [path]
     if not files:
         raise BadInput(str(path), "holds no data/**/*.parquet", "download the data, too")

@@ -315,7 +315,8 @@ class Columns(Options):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.steady:
-            wrong = [k for k in ("time", "rate", "position", "target") if getattr(self, k)]
+            timed = ("time", "rate", "position", "target", "start", "stop", "exclude")
+            wrong = [key for key in timed if getattr(self, key)]
             if wrong or self.velocity is None:
                 got = f"got '{wrong[0]}'" if wrong else "got no 'velocity'"
                 raise Unfit("'velocity' and torque alone of steady points", got)

@@ -61,19 +61,24 @@ LIFT = {"motor.inertia": 2.0, "motor.viscous": 3.0, "motor.coulomb": 1.0, "offse
 CONSTANTS = {"torque_constant": "2 N/A", "resistance": "1 ohm"}
 
 
-@pytest.mark.parametrize("as_column", [False, True])
-def test_a_constant_voltage_is_an_input(as_column):
+@pytest.mark.parametrize("by", ["voltage", "column of voltages", "torque"])
+def test_a_constant_input_moves_a_joint(by):
     time, recordings = np.arange(300) * 0.01, []
     j, b, c, offset = LIFT.values()
+    brake = 0.0 if by == "torque" else 4.0  # kt²/R
     for volts in (7.0, 4.0, -5.0, -3.0):
-        # closed form from rest: the back-EMF kt²/R brakes too, and the measured torque holds offset
-        rate = (b + 4.0) / j
-        final = (2.0 * volts - c * np.sign(volts) - offset) / (b + 4.0)
+        # closed form from rest; the measured torque holds the offset
+        rate = (b + brake) / j
+        final = (2.0 * volts - c * np.sign(volts) - offset) / (b + brake)
         speed = final * (1.0 - np.exp(-rate * time))
         position = final * (time - (1.0 - np.exp(-rate * time)) / rate)
         speed += 1e-4 * np.random.default_rng(4).standard_normal(time.size)
-        voltage = np.full(time.size, volts) if as_column else f"{volts} V"
-        keys = {"velocity": speed, "voltage": voltage, "name": f"at {volts:g} V"} | CONSTANTS
+        drive = {"voltage": f"{volts} V"} | CONSTANTS
+        if by == "column of voltages":
+            drive["voltage"] = np.full(time.size, volts)
+        if by == "torque":
+            drive = {"torque": f"{2.0 * volts} N"}
+        keys = {"velocity": speed, "name": f"at {volts:g} V"} | drive
         recordings.append(bf.Recording.from_arrays(time, position, **keys))
     joint = bf.Joint(
         [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True, motion="linear")],
@@ -119,6 +124,15 @@ def test_speed_alone_determines_all_but_terms_of_the_position():
     kinds = model.explain().kinds
     assert kinds
     assert not any(BY_NAME[kind].of_position for kind in kinds if kind in BY_NAME)
+
+
+def test_speed_alone_beside_a_recording_with_its_position():
+    time, rng = np.arange(1500) * 0.01, np.random.default_rng(5)
+    q, qd, qdd = swing(time, ((0.3, 1.0), (0.7, 0.3), (1.3, 0.1)))
+    torque = axis_torque(qd, qdd, AXIS, rng) + 0.05 * np.sin(q)
+    recordings = [bf.Recording.from_arrays(time, q, torque, velocity=qd), speed_alone(name="b")]
+    model = bf.Model(bf.Joint.preset("motor-axis"), recordings)
+    assert "gravity" in model.explain().kinds
 
 
 @pytest.mark.parametrize(
@@ -168,7 +182,9 @@ def test_few_points_are_checked_as_any_recording():
         model.estimates(["output-error"])
 
 
-@pytest.mark.parametrize("wrong", [{"rate": 10}, {"torque": None}, {"velocity": None}])
+@pytest.mark.parametrize(
+    "wrong", [{"rate": 10}, {"start": 1}, {"torque": None}, {"velocity": None}]
+)
 def test_steady_points_have_speed_and_torque_alone(wrong):
     keys = {"time": None, "position": None, "torque": SPEEDS, "velocity": SPEEDS, "steady": True}
     with pytest.raises(BadInput):
@@ -276,3 +292,15 @@ def test_too_few_outputs_name_what_took_them():
     with pytest.raises(BadInput) as caught:
         bf.Model(bf.Joint.preset("motor-axis"), recording)
     assert "dead_zone" in str(caught.value)
+
+
+def test_a_ripple_at_constant_speeds_is_cogging_and_no_fault():
+    """With this noise the torque constant explains it a little better."""
+    recordings, time = [], np.arange(600) * 0.03
+    for k, speed in enumerate((0.9, 1.4, -0.9, -1.4)):
+        q = speed * time + 0.2 * k
+        noise = 0.004 * np.random.default_rng(500 + k).standard_normal(time.size)
+        torque = 0.22 + 0.05 * np.sign(speed) + 7e-4 * speed + 0.0012 * np.sin(3.0 * q) + noise
+        recordings.append(bf.Recording.from_arrays(time, q, torque))
+    (finding, *_) = bf.Model(bf.Joint.preset("motor-axis"), recordings).explain().findings
+    assert finding.hint == "mechanism.elements.motor.cogging = [3]"
