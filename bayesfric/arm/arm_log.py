@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ from bayesfric.recordings.filters import derivative, lowpass_above, reach_of
 from bayesfric.recordings.measurement import Measurement, spread_ranges
 from bayesfric.recordings.read import (
     Drive,
+    aligned,
     chosen_rows,
+    decoded,
     joint_signal,
     read_recordings,
-    recorded_time,
 )
 from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import named, recognise
@@ -31,7 +33,7 @@ from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
 
-_URDF_TORQUE, _STAMPS = "urdf_torque", "time"
+_URDF_TORQUE, _STAMPS = "urdf_torque", "stamps in s"
 Joints = Mapping[str, UrdfJoint]
 # Columns of a log with {joint} for a joint's label, and the label of each joint.
 Layout = tuple[Mapping[str, Any], Mapping[str, str]]
@@ -103,12 +105,10 @@ class ArmLog:
         self.path, self.name, self._processing = path, name, options.processing
         self.loaded = options.payload.logs is None or name in options.payload.logs
         recording, labels = layout
-        self.sources: dict[str, Source] = {}
-        motions: list[Measurement | float] = []
-        for number, (joint_name, joint) in enumerate(joints.items(), start=1):
+        self.sources: dict[str, Columns] = {}
+        for number, joint_name in enumerate(joints, start=1):
             joint_options = options.joints.get(joint_name, JointOptions())
             if joint_options.held is not None:
-                motions.append(joint_options.held)
                 continue
             placeholders = {
                 "joint": joint_options.label or labels.get(joint_name, joint_name),
@@ -117,12 +117,13 @@ class ArmLog:
                 "torque_constant": joint_options.torque_constant,
             }
             document = {**recording, "file": str(path), "name": name}
-            source = _source(document, joint_name, placeholders)
-            if not self.sources:
-                self.table = read_table(path, source)
-                self._limit_rows(max_samples, source, self._position(source, joint).size)
-            self.sources[joint_name] = source
-            motions.append(self._joint_motion(joint))
+            self.sources[joint_name] = _source(document, joint_name, placeholders)
+        if not self.sources:
+            raise BadInput(str(path), "all joints are held", "leave out the held of one that moves")
+        keys = {key: recording[key] for key in TableOptions.model_fields if key in recording}
+        self._open(read_table(path, TableOptions.model_validate(keys)), joints, max_samples)
+        held = {name: x.held for name, x in options.joints.items() if x.held is not None}
+        motions = [held[n] if n in held else self._joint_motion(x) for n, x in joints.items()]
         moving = [motion for motion in motions if isinstance(motion, Measurement)]
         if not moving:
             raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
@@ -153,32 +154,44 @@ class ArmLog:
 
         They are at the times of :attr:`motion`.
         """
-        source = self.sources[joint.name]
-        time = self._stamps
-        if source.time is not None:  # a joint may have stamps of its own
-            time = recorded_time(source, self.table, time.size)
         names = [_URDF_TORQUE, *signals(len(torques) - 1)]
         pairs = zip(names, torques, strict=True)
-        return self._columns(source, {n: np.interp(time, self.time, x) for n, x in pairs})
+        computed = {name: np.interp(self._stamps, self.time, x) for name, x in pairs}
+        return self._columns(self.sources[joint.name], computed)
 
-    def _limit_rows(self, max_samples: int, source: Source, count: int) -> None:
-        """Keep at most ``max_samples`` of ``count`` rows, as segments all over the log."""
-        self.rows, self._stamps = count, recorded_time(source, self.table, count)
+    def _open(self, table: Table, joints: Joints, max_samples: int) -> None:
+        """Read all joints' columns, at the rows in which each has a value.
+
+        Of more than ``max_samples`` rows some are kept, as segments all over the log.
+        """
+        columns = list[str | int]()
+        for name, source in self.sources.items():
+            drive = Drive(1.0, joints[name].motion, joints[name].motion)
+            self._position(source, joints[name], table)
+            with suppress(BadInput):  # a drive that is missing is refused with its joint
+                self.sources[name], table = decoded(source, table, drive)
+            for column in source.columns:
+                with suppress(BadInput):
+                    columns += [] if table.holes(column).all() else [column]
+        source, *_ = self.sources.values()
+        other_channels = dict.fromkeys(set(CHANNELS) - {"time", "position"})
+        source = source.model_copy(update={**other_channels, "others": tuple(columns)})
+        _, table, self._stamps = aligned(source, table, drive)
+        cells = {_name(column): table.column(column) for column in columns}
+        names, self.rows = list(cells), self._stamps.size
+        self.table = Table(str(self.path), names, lambda i: cells[names[i]], notes=table.notes)
         first, last = chosen_rows(source, self._stamps, self.table.where)
-        # a channel with its own stamps has its own rows
-        stamped = (getattr(getattr(source, key), "times", None) is not None for key in CHANNELS)
-        if last - first > max_samples and not any(stamped):
+        if last - first > max_samples:
             # start and stop count from the first row
             parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, max_samples)]
             rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
-            self.table, self._stamps = self.table.at(rows, count), self._stamps[rows]
+            self.table, self._stamps = self.table.at(rows, self.rows), self._stamps[rows]
 
-    def _position(self, source: Source, joint: UrdfJoint) -> Array:
-        drive = Drive(1.0, joint.motion, joint.motion)
+    def _position(self, source: Columns, joint: UrdfJoint, table: Table) -> Array:
         try:
             if source.position is None:
-                raise BadInput(self.table.where, "has no position", "name its column")
-            return joint_signal(source.position, "position", self.table, drive)[0]
+                raise BadInput(table.where, "has no position", "name its column")
+            return table.values(source.position.column)
         except BadInput as error:
             hint = f"{error.hint}; or give its constant position: joints.{joint.name}.held = 0.0"
             raise BadInput(error.where, f"joint {joint.name!r}: {error.problem}", hint) from None
@@ -186,7 +199,10 @@ class ArmLog:
     def _joint_motion(self, joint: UrdfJoint) -> Measurement | float:
         """Read the motion of a joint, or its constant position."""
         source, column = self.sources[joint.name], "in place of a torque"
-        position = self._position(source, joint)
+        assert source.position is not None
+        channel = source.position.model_copy(update={"column": _name(source.position.column)})
+        drive = Drive(1.0, joint.motion, joint.motion)
+        position = joint_signal(channel, "position", self.table, drive)[0]
         if np.ptp(position) == 0.0:
             return float(position[0])
         # the motion does not depend on the drive, which may be missing
@@ -201,10 +217,10 @@ class ArmLog:
             recording, ratio=1.0, motion=motion, motor_motion=motion, processing=self._processing
         )[0]
 
-    def _columns(self, source: Source, computed: Mapping[str, Array]) -> Recording:
+    def _columns(self, source: Columns, computed: Mapping[str, Array]) -> Recording:
         """Take the columns of one joint into memory, in addition to ``computed`` ones."""
-        from_log = (key for key in source.columns if key not in computed)
-        cells = {_name(key): self.table.column(key) for key in from_log} | dict(computed)
+        from_log = map(_name, (key for key in source.columns if key not in computed))
+        cells = {name: self.table.column(name) for name in from_log} | dict(computed)
         document = source.model_dump(exclude_unset=True, exclude_none=True)
         keys = {k: v for k, v in document.items() if k in Columns.model_fields}
         for channel in (keys[key] for key in CHANNELS if key in keys):
@@ -215,11 +231,10 @@ class ArmLog:
             keys["load_torque"] = {"column": _URDF_TORQUE, "unit": SI, "sign": -1}
             deviations = (name for name in computed if name != _URDF_TORQUE)
             keys["others"] = [*map(_name, source.others), *deviations]
-        if source.time is None:
-            cells[_STAMPS], keys["rate"] = self._stamps, None
-            keys["time"] = {"column": _STAMPS, "unit": "s"}
-        names = list(cells)
-        table = Table(str(self.path), names, lambda i: cells[names[i]])
+        cells[_STAMPS], keys["rate"] = self._stamps, None
+        keys["time"] = {"column": _STAMPS, "unit": "s"}
+        names, notes = list(cells), self.table.notes
+        table = Table(str(self.path), names, lambda i: cells[names[i]], notes=notes)
         return Recording(Columns.model_validate(keys), table=table)
 
 

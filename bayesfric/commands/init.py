@@ -146,7 +146,9 @@ def _log_configuration(
     }
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
-    unknown = []
+    unknown = list(log.problems)
+    if "position" not in channels:
+        unknown.append("the position: no column is named so, and the velocity will be integrated")
     if preset is None:
         unknown.append(f"the mechanism: {chosen} is used, as no PRESET was named")
     if geared:
@@ -207,6 +209,7 @@ def _content(table: Table, key: str | int) -> dict[str, Any]:
         return content | {"why": "is empty" if holes.all() else "holds no numbers"}
     moves = bool(np.ptp(numbers) > 0.0)
     content |= {"low": float(numbers.min()), "high": float(numbers.max()), "moves": moves}
+    content["increases"] = bool(np.all(np.diff(numbers) > 0.0))
     other = values.size - numbers.size - content["holes"]
     return content | ({"why": f"{other} cells hold something else than numbers"} if other else {})
 
@@ -214,7 +217,9 @@ def _content(table: Table, key: str | int) -> dict[str, Any]:
 def _why_not(row: Mapping[str, Any], meaning: Named, log: Log) -> str:
     """Say why a column of numbers is not taken."""
     if not meaning.channel:
-        return "its name is not known" if isinstance(row["column"], str) else "has no name"
+        if isinstance(row["column"], str):
+            return "its name is not known"
+        return "has no name" + ", increases as time does" * bool(row["increases"])
     if meaning.wanted:
         return "a command, not a measurement"
     if not row["moves"]:
@@ -282,12 +287,13 @@ def _others(preset: str) -> list[str]:
 
 
 def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
-    """Return the keys of every channel; position and torque always."""
+    """Return the keys of every channel; torque always, and position if there is no velocity."""
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
     channels = {}
     for channel in ("time", "position", "velocity", drive):
         column, unit = log.chosen.get(channel, (OPEN, ""))
-        if column != OPEN or channel in ("position", drive):
+        required = channel == drive or (channel == "position" and "velocity" not in log.chosen)
+        if column != OPEN or required:
             side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
             keys = {"column": column, "unit": unit or OPEN}
             channels[channel] = keys | side | _CONSTANTS.get(channel, {})

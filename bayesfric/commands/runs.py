@@ -21,15 +21,9 @@ from bayesfric.base.atomic_write import (
 )
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.base.safe_read import read_text
-from bayesfric.report.comparison.comparison import (
-    Comparison,
-    comparison,
-    comparison_csv,
-    comparison_dict,
-)
+from bayesfric.report.comparison.comparison import Comparison, comparison, comparison_dict
 from bayesfric.report.summary.record import Summary, read_summary_file
-from bayesfric.report.words import filled, line_of
+from bayesfric.report.words import csv_text, filled, line_of
 
 
 def report(
@@ -41,19 +35,18 @@ def report(
     tables and references.
     """
     from bayesfric.report.page.pages import run_page
-    from bayesfric.report.paper.tables import latex_texts, summary_texts
+    from bayesfric.report.paper.tables import text_files
 
     summary = read_summary_file(run)
     name = Path(os.path.realpath(run)).name
     # first, as it validates every key
     page = run_page(run, summary, name)
-    texts = summary_texts(summary, name) | {"report.html": page}
     figures: list[str] = []
     with _written_into(run):
         if paper:
             figures, summary = _paper_figures(run, progress)
-        if paper or any(run.glob("tables/*.tex")):
-            texts |= latex_texts(summary, name)
+        latex = paper or any(run.glob("tables/*.tex"))
+        texts = text_files(summary, name, paper=latex) | {"report.html": page}
         write_files({run / file: text for file, text in texts.items()}, replace=True)
     return {"run": str(run), "written": sorted([*texts, *figures])}
 
@@ -86,22 +79,17 @@ def rollout(
     are written.
     """
     from bayesfric.report.figures.prediction import rollout_figure
-    from bayesfric.report.figures.registry import ROLL_OUT, read_captions
     from bayesfric.report.figures.style import save
     from bayesfric.rollouts.rollout import rollout as simulated
 
     # keys that another version wrote are kept
     summary: dict[str, Any] = read_summary_file(run)
-    caption_file = run / "text" / "captions.md"
-    captions = read_captions(read_text(caption_file)) if caption_file.exists() else {}
     # the folder first: what cannot be written is not simulated
     with _written_into(run), add_files(run / "figures") as figures:
         result = simulated(run, config, every=every, draws=draws, seed=seed, progress=progress)
-        captions[ROLL_OUT.stem] = ROLL_OUT.caption_of(result)
-        save(rollout_figure(result), figures, ROLL_OUT.stem)
+        save(rollout_figure(result), figures, "rollout")
     record = {**summary, "rollout": jsonable(result.summary)}
-    lines = "\n".join(f"**{stem}**: {caption}\n" for stem, caption in captions.items())
-    write_files({run / "summary.json": _json(record), caption_file: lines}, replace=True)
+    write_files({run / "summary.json": _json(record)}, replace=True)
     report(run)
     return result.summary
 
@@ -145,21 +133,19 @@ def _write_comparison(
     summaries: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Write the folder of a comparison."""
-    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
+    from bayesfric.report.comparison.between_runs import between_runs
     from bayesfric.report.figures.registry import FOREST
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.pages import compare_page, read_provenance, shared_recordings
-    from bayesfric.report.paper.tables import methods_latex
+    from bayesfric.report.paper.tables import comparison_csv, methods_latex
 
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in runs.items()}
-    pooled = []
     # a recording in two runs would count twice
-    if len(runs) > 1 and not shared_recordings(provenance):
-        draws = {name: read_draws(run, checked[name]) for name, run in runs.items()}
-        pooled = between_runs(checked, draws)
+    same = shared_recordings(provenance)
+    pooled = [] if len(runs) < 2 or same else between_runs(checked)
     order = {row.name: k for k, row in enumerate(table.rows)}
-    pooled.sort(key=lambda pool: order[pool.name])
+    pooled.sort(key=lambda line: order[line["name"]])
     # before anything is written, as it may be refused
     figure = FOREST.draw(table)
     assert figure is not None
@@ -169,7 +155,7 @@ def _write_comparison(
         "comparison.tex": methods_latex(table),
     }
     if len(runs) > 1:
-        texts["between-runs.csv"] = between_runs_csv(pooled)
+        texts["between-runs.csv"] = csv_text(pooled, [*pooled[0]] if pooled else ["name"])
     with new_folder(output) as folder:
         (folder / "figures").mkdir()
         save(figure, folder / "figures", FOREST.stem)

@@ -108,4 +108,5 @@ def best_share(chain: Joint, observations: Sequence[Signals]) -> tuple[float, Ar
     projection = TotalsProjection(chain, observations)
     measured = np.concatenate([o.measured for o in observations])
     residual = measured - projection.regressors @ projection.solve(measured)
-    return 1.0 - float(np.var(residual) / np.var(measured)), residual
+    total = float(np.var(measured))  # 0 if the motor is off
+    return 1.0 - float(np.var(residual)) / total if total else 1.0, residual

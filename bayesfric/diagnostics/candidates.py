@@ -11,9 +11,10 @@ a motion without losses does not show: up to four shares are tried.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -203,7 +204,7 @@ def _current_column(m: MotionSignals) -> Sets:
     return {
         "the supply's": [*(x * np.abs(v) for x in regressors), m.torque * np.abs(m.torque)],
         "the supply's without a sign": [*(x * v for x in regressors), m.torque**2],
-        "signed by power": [x * m.direction for x in regressors],
+        'signed by power (sign = "by-speed")': [x * m.direction for x in regressors],
         "without a sign": [x * sign for sign in signs for x in regressors],
     }
 
@@ -317,13 +318,18 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     return dict(zip(delays, pairs, strict=True))
 
 
-def filtered_columns(o: Signals, columns: Sequence[Array], at_once: int = 8) -> Array:
-    """Filter columns ``(N,)``, a cache line of them at once, skipping those that are zero."""
-    nonzero = [i for i, column in enumerate(columns) if column.any()]
-    out = np.zeros((o.filter.n_outputs, len(columns)))
-    for first in range(0, len(nonzero), at_once):
-        block = nonzero[first : first + at_once]
-        raw = np.stack([columns[i] for i in block], axis=1)
-        raw[~np.isfinite(raw)] = 0.0
-        out[:, block] = o.filter.apply(raw.T).T
-    return out
+def filtered_columns(
+    o: Signals, columns: Iterable[tuple[Key, Array]], at_once: int = 8
+) -> tuple[list[Key], Array]:
+    """Filter columns ``(N,)`` by key, a cache line of them at once; those of zeros stay zero."""
+    keys, blocks, waiting = [], [], iter(columns)
+    while batch := list(islice(waiting, at_once)):
+        keys += [key for key, _ in batch]
+        block = np.zeros((o.filter.n_outputs, len(batch)))
+        nonzero = [i for i, (_, column) in enumerate(batch) if column.any()]
+        if nonzero:
+            raw = np.stack([batch[i][1] for i in nonzero], axis=1)
+            raw[~np.isfinite(raw)] = 0.0
+            block[:, nonzero] = o.filter.apply(raw.T).T
+        blocks.append(block)
+    return keys, np.concatenate(blocks, axis=1)

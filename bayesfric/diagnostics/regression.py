@@ -75,6 +75,8 @@ Severity = Literal["note", "doubt"]
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
+# Gain by which a candidate is better than another: a factor of 150 in likelihood.
+_BETTER = 10.0
 
 
 @dataclass(frozen=True)
@@ -190,7 +192,7 @@ class Regression:
         noise_share = max(1.0 - sensor_power / max(total, 1e-300), 0.1)
         sd = math.sqrt(total * noise_share / noise.variance(self.data.layout))
         rng = np.random.default_rng(self.noise_seed)
-        self.replicates = [
+        self.replicates[:] = [
             replace(t, residual=t.residual + sd * noise.drawn(t.layout, rng)) for t in clean
         ]
 
@@ -239,8 +241,9 @@ class Regression:
         """Select the significant candidate with the largest penalised gain, searches last.
 
         A transient is selected only if nothing else is significant, a fault of the recording only
-        as the first. If the log is low-passed below its band, smoothing is selected: other
-        candidates would explain what it removed. The gains of all are returned, too.
+        as the first, and if it is better than any term. If the log is low-passed below its band,
+        smoothing is selected: other candidates would explain what it removed. The gains of all are
+        returned, too.
         """
         if not for_noise:
             noise = self._noise_of(self.data, extra)
@@ -280,7 +283,10 @@ class Regression:
                 coefficients = self._fit([*extra, *columns])[0][-len(columns) :]
                 allowed[i] = self._share(columns, coefficients) > kind.least
         significant = bool(allowed.any())
-        best = int(np.argmax(np.where(allowed, worth, -np.inf) if significant else z))
+        # a fault has no remedy: a term that explains as much is selected in its place
+        faults = np.array([kind in BY_NAME and BY_NAME[kind].of_recording for kind in kinds])
+        ranked = np.where(allowed, worth - _BETTER * faults, -np.inf)
+        best = int(np.argmax(ranked if significant else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
         statistic = float(z[best]), p
         selected: dict[str, Any] = {
@@ -342,12 +348,8 @@ class Regression:
         extra: Sequence[int],
         worth: Array,
         collinear_from: float = 0.95,
-        better: float = 10.0,
     ) -> Iterator[str]:
-        """List other kinds that explain as much or are collinear; none for disturbances.
-
-        That is from a cosine on; and a gain ``better`` by 10 is a factor of 150 in likelihood.
-        """
+        """List other kinds that explain as much or are collinear; none for disturbances."""
         if effect.kind in (SINUSOID, TRANSIENT):
             return
         white = self.data.whitened
@@ -363,7 +365,7 @@ class Regression:
                 continue
             cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
             collinear = cosines.size > 0 and float(cosines.min()) > collinear_from
-            if gain > best - better or (collinear and gain > 0.5 * best):
+            if gain > best - _BETTER or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind
 
@@ -401,11 +403,14 @@ class Regression:
             else:
                 columns = transient_columns(d.layout, scan, self.scales.transient_width)
             keys = (Key(scan.kind, self._scan_shape(scan), i) for i in range(columns.shape[1]))
-            others = np.column_stack([d.others, columns])
+            if d.others_whitened:
+                columns = d.autocorrelation.whitened(columns, d.layout)
+            others = np.column_stack([d.others, columns.astype(d.others.dtype)])
             return replace(d, others=others, keys=(*d.keys, *keys))
 
         self.data = extended(self.data)
-        self.replicates = [extended(replicate) for replicate in self.replicates]
+        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+            self.replicates[i] = extended(replicate)
         return list(range(first, self.data.others.shape[1]))
 
     # Marginalisation
@@ -477,13 +482,15 @@ def regression_of(
         """Compute the model's and the candidates' columns."""
         blocks = []
         for o, r in zip(observed, recordings, strict=True):
-            columns = dict(columns_along(MotionSignals(chain, vector, o, r, scales)))
-            blocks.append(filtered_columns(o, list(columns.values())))
+            along = columns_along(MotionSignals(chain, vector, o, r, scales))
+            keys, block = filtered_columns(o, along)
+            blocks.append(block)
         steps = free * _STEP * np.maximum(np.abs(vector), 1.0)
         base = torque_jacobian(chain, observed, vector, steps)
         left = [o.measured - filtered_torque(chain, o, vector[None])[0] for o in observed]
-        layout, keys = Layout.of(observed), tuple(columns)
-        return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
+        return Columns(
+            base, np.concatenate(blocks), np.concatenate(left), Layout.of(observed), tuple(keys)
+        )
 
     data = columns_at(values, observations)
     pairs = zip(observations, recordings, strict=True)
@@ -494,12 +501,17 @@ def regression_of(
         replicates(chain, vectors, r, o, processing, stream.spawn(number))
         for r, o, stream in streams
     ]
-    simulated = []
+    simulated, columns = [], []
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
         if len(usable) == len(repeated) and outputs >= len(chain.names) + least_outputs(usable):
-            simulated.append((vector, columns_at(vector, usable)))
+            d = columns_at(vector, usable)
+            alone = replace(d, others=np.empty((outputs, 0)), keys=())
+            simulated.append((vector, alone))
+            # in single precision: these columns take most of a fit's memory
+            single: Any = d.others.astype(np.float32)
+            columns.append(replace(d, others=single))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")
     gradients = {
@@ -507,11 +519,9 @@ def regression_of(
         for name, gradient in reported_gradients(chain, values, observations).items()
         if name not in known and np.isfinite(gradient).all()
     }
-    columns, cutoff = [d for _, d in simulated], f"{smoothed:.3g} Hz"
+    cutoff = f"{smoothed:.3g} Hz"
     regression = Regression(data, columns, scales, sizes, gradients, noise, cutoff)
-    return regression, tuple(
-        (v, replace(d, others=np.empty((len(d.base), 0)), keys=())) for v, d in simulated
-    )
+    return regression, tuple(simulated)
 
 
 def draw_parameters(

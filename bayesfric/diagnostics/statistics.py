@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -334,26 +335,30 @@ class Columns:
     """Filtered regression columns of one recording or replicate, or of several together."""
 
     base: Array  # (n, d) derivatives of the torque by the model's parameters
-    others: Array  # (n, m) columns of the candidates
+    others: Array  # (n, m) columns of the candidates, of replicates in single precision
     residual: Array  # (n,) torque less the model's, N m or N
     layout: Layout
     keys: tuple[Key, ...]
     autocorrelation: Autocorrelation = WHITE  # of the noise
+    others_whitened: bool = False  # whether the candidates' columns are whitened by it already
 
     @cached_property
     def whitened(self) -> Columns:
         """The same with whitened noise."""
         if self.autocorrelation is WHITE:
             return self
-        both = np.column_stack([self.base, self.others, self.residual])
-        white, d = self.autocorrelation.whitened(both, self.layout), self.base.shape[1]
-        return replace(
-            self,
-            base=white[:, :d],
-            others=white[:, d:-1],
-            residual=white[:, -1],
-            autocorrelation=WHITE,
-        )
+        own = np.column_stack([self.base, self.residual])
+        white, others = self.autocorrelation.whitened(own, self.layout), self.others
+        if not self.others_whitened:
+            others = self.autocorrelation.whitened(others.astype(np.float64), self.layout)
+        base, residual = white[:, :-1], white[:, -1]
+        return replace(self, base=base, others=others, residual=residual, autocorrelation=WHITE)
+
+    def with_noise(self, noise: Autocorrelation) -> Columns:
+        """Keep the candidates' columns whitened by a noise alone: a replicate's take the memory."""
+        white = noise.whitened(self.others.astype(np.float64), self.layout)
+        others: Any = white.astype(self.others.dtype)
+        return replace(self, others=others, others_whitened=True, autocorrelation=noise)
 
     def with_candidates(self, extra: Sequence[int]) -> Array:
         """Append columns of candidates, by number, to the model's own: ``(n, d + k)``."""
@@ -469,7 +474,9 @@ def score_candidates(
     free, power = y.size - basis.shape[1], float(y @ y)
     has_delay = any(d.keys[i].delay for i in extra)
     delay = _delayed(() if has_delay else d.keys, z, y, free)
-    size, remaining = (np.sqrt(np.einsum("ij,ij->j", x, x)) for x in (white.others, z))
+    size, remaining = (
+        np.sqrt(np.einsum("ij,ij->j", x, x, dtype=np.float64)) for x in (white.others, z)
+    )
     identified = remaining > TESTABLE * size
     unit = np.where(remaining > 0.0, remaining, 1.0)
     slopes = (z.T @ y) / unit

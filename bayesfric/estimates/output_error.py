@@ -536,9 +536,8 @@ class OutputError:
         steps = 1e-6 + 1e-4 * sizes
         jacobian = torque_jacobian(self.chain, self.observations, self.values, steps)
         torque = np.concatenate([o.measured for o in self.observations])
-        effect = np.sqrt(np.mean(jacobian**2, axis=0))
-        with np.errstate(divide="ignore"):
-            units = np.where(effect > 0.0, np.sqrt(np.mean(torque**2)) / effect, sizes)
+        effect, rms = np.sqrt(np.mean(jacobian**2, axis=0)), np.sqrt(np.mean(torque**2))
+        units = np.where(rms * effect > 0.0, rms / np.where(effect > 0.0, effect, 1.0), sizes)
         return np.asarray(units[self.columns])
 
     def _weights(self) -> Array:

@@ -43,7 +43,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.checks import resting
 from bayesfric.recordings.filters import lowpass, lowpass_above
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Measurement, integral
 from bayesfric.recordings.signals import (
     FAR_DELAYS,
     Signals,
@@ -293,8 +293,8 @@ def fine_motion(
         if not handover:
             handover = min(_handover(o, recording, residual, float(np.median(inertia))), end)
         acceleration = np.where(unknown, o.qdd, qdd + residual / inertia)
-        dqd = above(_integral(acceleration - o.qdd, qd, recording), handover)
-        dq = above(_integral(speed + dqd, None, recording), handover)
+        dqd = above(integral(acceleration - o.qdd, segments, recording.period, qd), handover)
+        dq = above(integral(speed + dqd, segments, recording.period), handover)
         q, qd = o.q + position + dq, o.qd + speed + dqd
         qdd = o.qdd + above(acceleration, end)
     refined = with_motion(o, recording, q, qd, qdd)
@@ -320,17 +320,3 @@ def _handover(o: Signals, recording: Measurement, residual: Array, inertia: floa
         return math.inf
     power = 4 if recording.velocity is None else 2
     return float((torque / (inertia**2 * noise)) ** (1.0 / power)) / (2.0 * math.pi)
-
-
-def _integral(x: Array, speed: Array | None, recording: Measurement) -> Array:
-    """Integrate a signal ``(N,)`` in every segment; it jumps where the ``speed`` crosses zero."""
-    share = np.full(x.size - 1, 0.5)
-    if speed is not None:
-        before, after = speed[:-1], speed[1:]
-        turns = before * after < 0.0
-        share[turns] = before[turns] / (before[turns] - after[turns])
-    steps = recording.period * (share * x[:-1] + (1.0 - share) * x[1:])
-    out = np.zeros_like(x)
-    for a, b in recording.segments:
-        out[a + 1 : b] = np.cumsum(steps[a : b - 1])
-    return out

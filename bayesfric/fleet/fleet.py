@@ -162,14 +162,13 @@ class Fleet:
         """
         start, folder = time.monotonic(), Path(folder).absolute()
         arguments = {"workers": workers, "scheduler": scheduler}
-        update = {key: value for key, value in arguments.items() if value is not None}
-        options = self.plan.cluster.model_copy(update=update)
-        has_fleet = (folder / PLAN).is_file()
-        if resume and not has_fleet:
-            raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
-        if has_fleet and not resume:
-            hint = "add --resume to continue, or name another folder with -o"
-            raise BadInput(str(folder), "holds a fleet", hint)
+        options = self.plan.cluster.model_copy(
+            update={key: value for key, value in arguments.items() if value is not None}
+        )
+        if resume != (folder / PLAN).is_file():
+            problem = "there is no fleet to resume" if resume else "holds a fleet"
+            hint = "leave --resume out" if resume else "add --resume, or name another folder"
+            raise BadInput(str(folder), problem, hint)
         if not resume:
             check_output_folder(folder, force=None)
         check_dask(options)
@@ -186,7 +185,7 @@ class Fleet:
         """Fit the units that are missing, and write table, population and page of all."""
         from bayesfric.fleet.page import fleet_page
 
-        plan = self.plan
+        plan, names = self.plan, [unit.name for unit in self.plan.units]
         cpu_seconds = -time.process_time()
         failed, left, waiting = dict[str, str](), dict[str, str](), dict[str, str]()
         for unit in plan.units:
@@ -197,36 +196,29 @@ class Fleet:
                 continue
             if not is_fitted(folder / UNITS / unit.name, text, plan.template):
                 waiting[unit.name] = text
-        again = len(plan.units) - len(failed) - len(waiting)
-        done = len(plan.units) - len(waiting)
-
-        def finished(name: str, why: str, by_machine: bool, seconds: float) -> None:
-            nonlocal cpu_seconds, done
+        again = len(names) - len(failed) - len(waiting)
+        draws = plan.runs.draws if plan.runs.light else None
+        fits = fit_units(waiting, folder / UNITS, plan.template, draws, options)
+        for done, (name, why, by_machine, seconds) in enumerate(fits, again + len(failed) + 1):
             cpu_seconds += seconds
-            done += 1
             if why:
                 (left if by_machine else failed)[name] = why
-            counts = f"{done} of {len(plan.units)} units, {len(failed) + len(left)} failed"
+            counts = f"{done} of {len(names)} units, {len(failed) + len(left)} failed"
             progress(Progress(counts))
-
-        draws = plan.runs.draws if plan.runs.light else None
-        if waiting:
-            fit_units(waiting, folder / UNITS, plan.template, draws, options, finished)
         progress(Progress("population"))
         errors = failed | {name: f"machine: {why}" for name, why in left.items()}
         runs = {}
-        for name in (unit.name for unit in plan.units if unit.name not in errors):
+        for name in (name for name in names if name not in errors):
             path = folder / UNITS / name
             runs[name] = Summary.read(read_summary_file(path), str(path))
-        population = fleet_population(folder / UNITS, runs)
+        population = fleet_population(runs)
         table = results_table(plan.units, runs, errors)
         (folder / TABLE).write_bytes(table.to_parquet(index=False))
-        page = fleet_page(folder, plan.units, runs, errors, population)
         record = population_record(population)
         text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+        page = fleet_page(folder, plan.units, runs, errors, population)
         texts = {folder / "population.json": f"{text}\n", folder / "fleet.html": page}
         write_files(texts, replace=True)
-        names = [unit.name for unit in plan.units]
         outcomes = Counter(
             FAILED if name in errors else runs[name].verdict.outcome for name in names
         )

@@ -9,6 +9,7 @@ import glob
 import io
 import os
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -287,19 +288,19 @@ def units_of(
 
 
 def _typed(cells: Sequence[str]) -> Sequence[Value]:
-    """Convert a column to numbers or booleans where all its cells are.
+    """Convert a column to numbers or booleans where TOML reads all its cells as such.
 
     A serial number such as 007 is a text: as a number it would lose its zeros.
     """
-    filled = [cell for cell in cells if cell]
-    types: tuple[tuple[str, Any], ...] = (
-        (r"-?(0|[1-9][0-9]{0,17})", int),
-        (r"-?(0|[1-9][0-9]*)(\.[0-9]*)?([eE][-+]?[0-9]+)?", float),
-        ("true|false", "true".__eq__),
-    )
-    for pattern, convert in types:
-        if filled and all(re.fullmatch(pattern, cell) for cell in filled):
-            return [convert(cell) if cell else None for cell in cells]
+    try:
+        values = [tomllib.loads(f"x = {cell}")["x"] if cell else None for cell in cells]
+    except tomllib.TOMLDecodeError:
+        values = []
+    kinds = {type(value) for value in values} - {type(None)}
+    if kinds == {bool} or kinds == {int}:
+        return values
+    if kinds and kinds <= {int, float}:
+        return [None if value is None else float(value) for value in values]
     return [cell or None for cell in cells]
 
 

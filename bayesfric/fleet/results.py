@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
 from bayesfric.population.population import WithOutliers, with_outliers
-from bayesfric.report.comparison.between_runs import read_draws, shared_quantities
+from bayesfric.report.comparison.between_runs import shared_quantities
 from bayesfric.report.summary.record import PosteriorRow, Summary
 
 if TYPE_CHECKING:
@@ -26,30 +25,17 @@ def results_table(
     """Tabulate the reported quantities of each unit, or why it failed, and the units' columns."""
     import pandas as pd
 
-    rows: list[dict[str, Any]] = []
+    frames = []
     for unit in units:
         if unit.name in errors:
-            rows.append({"unit": unit.name, "outcome": FAILED, "error": errors[unit.name]})
+            row = {"outcome": FAILED, "error": errors[unit.name]}
+            frames.append(pd.DataFrame([{"unit": unit.name, **row}]))
             continue
-        summary = runs[unit.name]
-        for name, row in summary.rows.items():
-            reported = row.reported
-            rows.append(
-                {
-                    "unit": unit.name,
-                    "outcome": summary.verdict.outcome,
-                    "quantity": name,
-                    "value": reported.value,
-                    "sd": reported.sd,
-                    "low": reported.interval[0],
-                    "high": reported.interval[1],
-                    "level": row.level,
-                    "measure": row.unit,
-                    "status": reported.status,
-                    "findings": ", ".join(row.doubted if row.doubtful else ()),
-                }
-            )
-    table = pd.DataFrame(rows, columns=[*COLUMNS]).astype(COLUMNS)
+        frame = runs[unit.name].frame.rename(columns={"name": "quantity", "unit": "measure"})
+        outcome = runs[unit.name].verdict.outcome
+        frames.append(frame.assign(unit=unit.name, outcome=outcome))
+    parts = [frame.reindex(columns=[*COLUMNS]).astype(COLUMNS) for frame in frames]
+    table = pd.concat(parts, ignore_index=True)
     values = {unit.name: unit.values for unit in units}
     columns = pd.DataFrame.from_dict(values, orient="index").convert_dtypes()
     return table.join(columns[[name for name in columns if name not in COLUMNS]], on="unit")
@@ -62,22 +48,21 @@ class FleetQuantity:
     name: str
     units: Mapping[str, PosteriorRow]  # those pooled
     pool: WithOutliers
-    outlying: Mapping[str, float]  # probability of each unit
-    distance: Mapping[str, float]  # of each from the mean, in sds of both
 
     @property
     def row(self) -> PosteriorRow:
         """The first unit's row, for unit, symbol, meaning and level."""
         return next(iter(self.units.values()))
 
+    @property
+    def outlying(self) -> dict[str, float]:
+        """Probability of each unit to be an outlier."""
+        return dict(zip(self.units, self.pool.outlying, strict=True))
+
     def as_json(self) -> dict[str, Any]:
         """Give its part of ``population.json``."""
-        return {
-            "name": self.name,
-            "unit": self.row.unit,
-            "meaning": self.row.meaning,
-            "level": self.row.level,
-            "units": len(self.units),
+        described = {key: getattr(self.row, key) for key in ("unit", "meaning", "level")}
+        return {"name": self.name, **described, "units": len(self.units)} | {
             "mean": asdict(self.pool.mean),
             "spread": asdict(self.pool.spread),
             "outlier_share": asdict(self.pool.share),
@@ -85,23 +70,18 @@ class FleetQuantity:
         }
 
 
-def fleet_population(folder: Path, runs: Mapping[str, Summary]) -> list[FleetQuantity]:
-    """Pool the finished runs in ``folder``, each named after its unit.
+def fleet_population(runs: Mapping[str, Summary]) -> list[FleetQuantity]:
+    """Pool finished runs, each by the name of its unit.
 
     Quantities that a unit's data do not identify, and units that did not converge, are left out.
+    So is what depends on the open scaling of link and gearbox, which may differ between units.
     """
-    draws = {unit: read_draws(folder / unit, summary) for unit, summary in runs.items()}
     population = []
-    for quantity in shared_quantities(runs, draws):
-        if quantity.row.gauge_free is False:
-            continue  # an open scaling of link and gearbox may differ between units
-        pool = with_outliers(list(quantity.likelihoods.values()), quantity.row.level)
-        outlying = dict(zip(quantity.likelihoods, pool.outlying, strict=True))
-        distance = {
-            name: abs(x.mean - pool.mean.median) / math.hypot(x.sd, pool.spread.median)
-            for name, x in quantity.likelihoods.items()
-        }
-        population.append(FleetQuantity(quantity.name, quantity.runs, pool, outlying, distance))
+    for name, rows in shared_quantities(runs).items():
+        if all(row.gauge_free is not False for row in rows.values()):
+            means, sds = zip(*((row.mean, row.reported.sd) for row in rows.values()), strict=True)
+            pool = with_outliers(means, sds, next(iter(rows.values())).level)
+            population.append(FleetQuantity(name, rows, pool))
     return population
 
 
@@ -109,8 +89,11 @@ def ranked_units(population: Sequence[FleetQuantity]) -> dict[str, tuple[float, 
     """Rank units by their probability of being an outlier, each in its farthest quantity."""
     worst: dict[str, tuple[float, float, str]] = {}
     for quantity in population:
+        mean, spread = quantity.pool.mean.median, quantity.pool.spread.median
         for unit, p in quantity.outlying.items():
-            entry = (round(p, 6), quantity.distance[unit], quantity.name)
+            row = quantity.units[unit]
+            away = abs(row.mean - mean) / math.hypot(row.reported.sd, spread)
+            entry = (round(p, 6), away, quantity.name)
             worst[unit] = max(worst.get(unit, entry), entry)
     ranked = sorted(worst.items(), key=lambda pair: pair[1][:2], reverse=True)
     return {unit: (p, name) for unit, (p, _, name) in ranked}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,9 +41,6 @@ _SETTINGS = {
     "distributed.admin.tick.limit": "1 h",
 }
 
-# Callback with a unit's name, why its fit failed (or nothing), whether by the machine, CPU seconds.
-Finished = Callable[[str, str, bool, float], None]
-
 
 def fit_units(
     configurations: Mapping[str, str],
@@ -51,11 +48,15 @@ def fit_units(
     template: Path,
     draws: int | None,
     options: ClusterOptions,
-    finished: Finished,
-) -> None:
-    """Fit units by name, each into a run directory in ``folder``, and report each when finished."""
+) -> Iterator[tuple[str, str, bool, float]]:
+    """Fit units by name, each into a run directory in ``folder``, and report each when finished.
+
+    By its name, why its fit failed (or nothing), whether by the machine, and CPU seconds.
+    """
     from distributed import KilledWorker, as_completed
 
+    if not configurations:
+        return
     with _client(options) as client:
         futures = client.map(
             fit_unit,
@@ -71,13 +72,13 @@ def fit_units(
             name = names.pop(future)
             if future.status == "finished":
                 why, seconds = future.result()
-                finished(name, why, False, seconds)
+                yield name, why, False, seconds
             elif future.status == "error":
                 error = future.exception()
                 why = " ".join(f"{type(error).__name__}: {error}".split())
                 if isinstance(error, KilledWorker):
                     why = "its workers died, by their memory limit or from outside"
-                finished(name, why, True, 0.0)
+                yield name, why, True, 0.0
             else:
                 raise _no_scheduler(options)
             future.release()
@@ -119,13 +120,14 @@ def is_fitted(folder: Path, text: str, template: Path) -> bool:
 
 
 def check_dask(options: ClusterOptions) -> None:
-    """Check that Dask is installed, and a worker's memory limit, before anything is written."""
+    """Check what must be installed, and a worker's memory limit, before anything is written."""
     try:
         import cryptography  # noqa: F401 (makes a local cluster's credentials)
         import distributed  # noqa: F401
+        import pyarrow  # noqa: F401 (writes the table of results)
         from dask.utils import parse_bytes
     except ImportError:
-        problem = "needs Dask distributed, which is not installed"
+        problem = "needs Dask distributed and pyarrow, which are not installed"
         raise BadInput("bayesfric fleet", problem, "pip install 'bayesfric[fleet]'") from None
     try:
         if parse_bytes(options.memory_limit) < 2**27:  # what imports take

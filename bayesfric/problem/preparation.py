@@ -237,9 +237,19 @@ def _check_size(chain: Joint, observations: Sequence[Signals]) -> None:
     """Refuse fewer outputs than parameters."""
     outputs = sum(len(o.time) for o in observations)
     if outputs < len(chain.parameters):
+        reasons = {
+            "dropped_dead_zone": "where it stands or turns round (dead_zone)",
+            "dropped_trim": "at ends (trim)",
+            "dropped_excluded": "in or next to what is excluded",
+        }
+        lost = {
+            why: sum(int(o.settings[key]) for o in observations) for key, why in reasons.items()
+        }
+        most = max(lost, key=lost.__getitem__)
+        problem = f"{outputs} outputs after filtering, {len(chain.parameters)} parameters"
         raise BadInput(
             ", ".join(f"recording {o.name!r}" for o in observations),
-            f"too short: {outputs} outputs after filtering, {len(chain.parameters)} parameters",
+            problem + f"; {lost[most]} more were left out {most}" * bool(lost[most]),
             "record longer, or decimate less",
         )
 

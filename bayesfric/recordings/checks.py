@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags, Segments, near, runs, without_excluded
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, runs, without_excluded
 from bayesfric.recordings.filters import finest_step, lay_windows
 from bayesfric.recordings.measurement import Measurement
 
@@ -58,21 +59,96 @@ def whole_numbers(values: Array, *, least: int = 20) -> bool:
     return bool(np.all(values == np.round(values))) and np.unique(values).size > least
 
 
-def unwrapped(angle: Array) -> tuple[Array, int]:
-    """Unwrap an angle in rad of the encoder's shaft, and count the jumps."""
-    steps = np.diff(angle)
-    jumps = np.abs(steps) > np.pi
-    # an angle that covers more than a turn is unwrapped already
-    if not jumps.any() or np.ptp(angle) > 2.0 * np.pi * (1.0 + 1e-6):
-        return angle, 0
-    # an undone jump must leave a step as small as the others
-    turns = np.round(steps / (2.0 * np.pi))
-    usual = float(np.abs(steps[~jumps]).max(initial=0.0))
-    if np.abs(steps - 2.0 * np.pi * turns)[jumps].max() > 2.0 * usual:
-        return angle, 0
-    values = angle.copy()
-    values[1:] -= 2.0 * np.pi * np.cumsum(turns)
-    return values, int(np.count_nonzero(jumps))
+def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, int]:
+    """Undo the jumps of a counter ``(n,)``, NaN in holes; returns where it wraps, and their number.
+
+    It wraps at a ``turn``, or whole numbers at 2^8 to 2^32; what covers more is unwrapped already.
+    """
+    at = np.flatnonzero(np.isfinite(values))
+    steps, rows = np.diff(values[at]), np.diff(at)
+    if not steps.size or np.abs(steps).max() <= 0.5 * np.ptp(values[at]):
+        return values, 0.0, 0
+    whole = bool(np.all(values[at] == np.round(values[at])))
+    for modulus in [*([turn] if turn else []), *(2.0 ** np.arange(8, 33) if whole else ())]:
+        jumps = np.abs(steps) > modulus / 2.0
+        if not jumps.any() or np.ptp(values[at]) > modulus * (1.0 + 1e-6):
+            continue
+        # an undone jump must leave a step as small as the others
+        turns = np.round(steps / modulus)
+        usual = float((np.abs(steps) / rows)[~jumps].max(initial=0.0))
+        if np.all((np.abs(steps - modulus * turns) / rows)[jumps] <= 2.0 * usual):
+            undone = values.copy()
+            undone[at[1:]] -= modulus * np.cumsum(turns)
+            return undone, float(modulus), int(np.count_nonzero(jumps))
+    return values, 0.0, 0
+
+
+def failed_reads(values: Array, most: int | None) -> Flags:
+    """Flag zeros ``(n,)``, up to ``most`` in a row, between values that are far from zero.
+
+    A bus whose motor gives no reply leaves them. Far is twice the largest of the other steps.
+    """
+    flags = np.zeros(values.size, dtype=np.bool_)
+    at = np.flatnonzero(np.isfinite(values))
+    zeros = [x for x in runs(values[at] == 0.0) if most is None or x[1] - x[0] <= most]
+    if not zeros or not values[at].any():
+        return flags
+    begin, end = np.array(zeros).T
+    # at an end the neighbour on the other side counts twice
+    before = values[at[np.where(begin > 0, begin - 1, end % at.size)]]
+    after = values[at[np.where(end < at.size, end, begin - 1)]]
+    same = before * after > 0.0
+    begin, end, near_by = begin[same], end[same], np.minimum(abs(before), abs(after))[same]
+    steps = np.abs(np.diff(values[at], append=values[at[-1]]))
+    steps[begin - 1] = steps[end - 1] = 0.0
+    far = near_by > 2.0 * steps.max(initial=0.0)
+    for a, b in zip(begin[far].tolist(), end[far].tolist(), strict=True):
+        flags[at[a:b]] = True
+    return flags
+
+
+def check_signs(values: Array, where: str, signal: str) -> None:
+    """Refuse whole numbers in two groups as of a signed number that was recorded as unsigned."""
+    levels = np.unique(values)
+    if levels.size < 3 or levels[0] < 0.0 or np.any(levels != np.round(levels)):
+        return
+    split = int(np.argmax(np.diff(levels)))
+    low, high, highest = levels[split], levels[split + 1], levels[-1]
+    spread = max(low - levels[0], highest - high)
+    bits = int(np.log2(highest)) + 1
+    if high - low <= 2.0 * spread or high < 2.0 ** (bits - 1) or low >= 2.0 ** (bits - 1):
+        return
+    if high - 2.0 ** (bits - 1) <= spread:
+        key = f"sign_bit = {bits - 1}"
+    elif 2.0**bits - highest <= spread:
+        key = f"twos_complement = {bits}"
+    else:
+        return
+    share = 100.0 * float(np.mean(values >= high))
+    problem = (
+        f"the {signal} is {low:.6g} or less, or {high:.6g} and more in {share:.2g} % of the rows"
+    )
+    raise BadInput(where, problem, f"where its sign is a bit, write {key}")
+
+
+def fresh_rows(signals: Sequence[Array]) -> tuple[Index, Flags, int] | None:
+    """Return the rows of signals ``(n,)`` with new values, if values are held over several rows.
+
+    Also flags of these rows, and over how many values are held. Values that repeat by chance do so
+    in one signal at a time; held ones change together. Where they last twice as long, at a
+    standstill or where a drive does not answer, rows remain at the same pace, with a flag.
+    """
+    changes = np.array([np.append(True, np.diff(x) != 0.0) for x in signals])
+    together, new = changes.all(axis=0), changes.any(axis=0)
+    first = np.flatnonzero(new)
+    hold = int(np.median(np.diff(first))) if first.size > 1 else 1
+    if hold < 2 or together.sum() < 0.9 * changes.sum(axis=1).min():
+        return None
+    last = np.cumsum(new) - 1
+    since, lasts = np.arange(new.size) - first[last], np.diff(np.append(first, new.size))[last]
+    stale = ~new & (lasts > 2 * hold)
+    rows = np.flatnonzero(new | stale & (since % hold == 0))
+    return rows, stale[rows], hold
 
 
 # --- motion and standstill ----------------------------------------------------------------------
@@ -165,52 +241,39 @@ def standstill_outputs(
 # --- signals that disagree, or follow each other ------------------------------------------------
 
 
-def speed_mismatch(velocity: Array, differentiated: Array, usable: Flags) -> float | None:
+def speed_mismatch(
+    velocity: Array, differentiated: Array, usable: Flags, period: float, *, longest: float = 0.1
+) -> tuple[float | None, float | None]:
     """Compare a measured velocity with the differentiated position, with the same filter.
 
-    Returns their ratio where it differs from one by 10 % or more, and 0 where they are unrelated.
+    Returns their ratio where it differs from one by 10 % or more, 0 where they are unrelated; and
+    the delay, s, of the velocity, where that explains half or more of what the two differ by.
     """
-    v, d = velocity[usable], differentiated[usable]
-    power, other = float(v @ v), float(d @ d)
-    if not power > 0.0 or not other > 0.0:
-        return None
-    correlation = float(v @ d) / np.sqrt(power * other)
-    if abs(correlation) < 0.9:
-        return 0.0 if abs(correlation) < 0.3 else None
-    factor = float(v @ d) / other
-    return factor if abs(factor - 1.0) > 0.1 else None
-
-
-def speed_delay(
-    velocity: Array, differentiated: Array, usable: Flags, period: float, *, longest: float = 0.1
-) -> float | None:
-    """Estimate the delay, s, of a measured velocity behind the differentiated position.
-
-    ``None`` where it is negligible, or explains less than half of what the two differ by.
-    """
-    at = np.flatnonzero(usable)
+    at, late = np.flatnonzero(usable), None
     furthest = min(round(longest / period), at.size // 10)
-    power = float(velocity[at] @ velocity[at])
-    if furthest < 2 or not power > 0.0:
-        return None
-    at = at[(at >= furthest) & (at < velocity.size - furthest)]
+    inner = at[(at >= furthest) & (at < velocity.size - furthest)]
 
-    def unexplained(lag: int) -> float:
-        """Return the share of the velocity's power that no multiple of the other explains."""
-        x, y = velocity[at], differentiated[at - lag]
-        powers = float(x @ x) * float(y @ y)
-        return 1.0 - float(x @ y) ** 2 / powers if powers > 0.0 else 1.0
+    def compared(lag: int, at: Index) -> tuple[float, float]:
+        """Return the correlation of the two and their ratio, at a lag in samples."""
+        v, d = velocity[at], differentiated[at - lag]
+        power, other, both = float(v @ v), float(d @ d), float(v @ d)
+        if not power > 0.0 or not other > 0.0:
+            return 1.0, 1.0
+        return both / np.sqrt(power * other), both / other
 
+    correlation, factor = compared(0, at)
     # most velocities have no delay, and every lag costs a product
-    if (now := unexplained(0)) < 0.01:
-        return None
-    lags = np.arange(-furthest, furthest + 1)
-    left = np.array([unexplained(lag) for lag in lags.tolist()])
-    k = int(left.argmin())
-    if not 0 < k < lags.size - 1 or left[k] > 0.5 * now:
-        return None
-    bend = left[k - 1] - 2.0 * left[k] + left[k + 1]
-    return float((lags[k] + 0.5 * (left[k - 1] - left[k + 1]) / bend) * period)
+    if furthest >= 2 and (now := 1.0 - compared(0, inner)[0] ** 2) >= 0.01:
+        lags = np.arange(-furthest, furthest + 1)
+        left = np.array([1.0 - compared(lag, inner)[0] ** 2 for lag in lags.tolist()])
+        k = int(left.argmin())
+        if 0 < k < lags.size - 1 and left[k] <= 0.5 * now:
+            bend = left[k - 1] - 2.0 * left[k] + left[k + 1]
+            late = float((lags[k] + 0.5 * (left[k - 1] - left[k + 1]) / bend) * period)
+            correlation, factor = compared(int(lags[k]), inner)
+    if abs(correlation) < 0.9:
+        return (0.0 if abs(correlation) < 0.3 else None), late
+    return (factor if abs(factor - 1.0) > 0.1 else None), late
 
 
 def between(factor: float) -> str:

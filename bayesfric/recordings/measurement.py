@@ -103,11 +103,20 @@ def make_grid(
             f"time: {len(ranges) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
             f"samples left out ({lost} samples)"
         )
-    if not 1e-6 <= period <= 1.0:
-        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
+    span = float(time[last - 1] - time[first])
+    if implausible(period, span):
+        warnings.append(
+            f"time: {count} samples in {span:.3g} s, one every {period:.3g} s, are of no joint's "
+            "motion; is the unit of time right?"
+        )
     segments = tuple(pairwise(np.cumsum([0, *(len(part) for part in times)]).tolist()))
     sentences, resampled = (tuple(steps), tuple(warnings)), jitter > most_jitter
     return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *sentences)
+
+
+def implausible(period: float, span: float) -> bool:
+    """Whether no joint is recorded so fast, so slowly, or for so short or long a time, in s."""
+    return not (2e-5 <= period <= 0.2 and 0.1 <= span <= 86400.0)
 
 
 def steady_grid(count: int) -> Grid:
@@ -235,11 +244,16 @@ class Law:
         return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)
 
 
-def integral(rate: Array, segments: Segments, period: float) -> Array:
-    """Integrate a signal ``(n,)`` by trapezoids, from 0 in every segment."""
-    out = np.zeros_like(rate)
+def integral(rate: Array, segments: Segments, period: float, speed: Array | None = None) -> Array:
+    """Integrate a signal ``(n,)`` from 0 in every segment; it jumps where the speed is 0."""
+    share, out = np.full(rate.size - 1, 0.5), np.zeros_like(rate)
+    if speed is not None:
+        before, after = speed[:-1], speed[1:]
+        turns = before * after < 0.0
+        share[turns] = before[turns] / (before[turns] - after[turns])
+    steps = period * (share * rate[:-1] + (1.0 - share) * rate[1:])
     for a, b in segments:
-        out[a + 1 : b] = np.cumsum(0.5 * period * (rate[a : b - 1] + rate[a + 1 : b]))
+        out[a + 1 : b] = np.cumsum(steps[a : b - 1])
     return out
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.measurement import (
     Grid,
     Inputs,
@@ -58,6 +58,8 @@ _REQUIRED: dict[units.Kind, tuple[str, ...]] = {
     "voltage": ("torque_constant", "resistance"),
     "share": ("torque_constant", "resistance", "times"),  # of a supply voltage
 }
+# Channels of a bus, which may fail to be read, or whose sign may be a bit.
+_MEASURED = ("position", "velocity", "torque", "current", "voltage")
 
 
 @dataclass(frozen=True)
@@ -112,15 +114,13 @@ def read_recordings(
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
-    source, table, rows = _aligned(source, table)
-    table = table.with_ones(len(rows))
+    source, table, time = aligned(source, table, drive)
+    table, time, stale, warnings = _fresh(source, table, time)
+    table = table.with_ones(len(time))
     steps, position, velocity = list(table.notes), None, None
     if source.position is not None:
         position, step = joint_signal(source.position, "position", table, drive)
         steps.append(step)
-    time = recorded_time(source, table, len(rows))
-    if source.rate is not None:
-        time = (rows - rows[:1]) / source.rate
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         steps.append(step)
@@ -132,14 +132,17 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     chosen = slice(*chosen_rows(source, time, table.where))
     where = table.where
     grid = (
-        steady_grid(len(rows))
+        steady_grid(len(time))
         if source.steady
         else make_grid(time, (chosen.start, chosen.stop), where)
     )
     checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
         checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
-    warnings = [*grid.warnings, *_count_warnings(source, table, chosen)]
+    warnings += [*grid.warnings, *_count_warnings(source, table, chosen)]
+    for key, signed in source.channels.items():
+        if key in _MEASURED and not source.steady:
+            checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
     if (encoder_step := checks.quantisation(moved[chosen])) is not None:
@@ -171,8 +174,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
     motor_speed = np.zeros(joint.shape) if speed is None else speed
-    if speed is None and (law.back_emf or law.kd):
+    by_speed = channel.sign == "by-speed"
+    if speed is None and (law.back_emf or law.kd or by_speed):
         motor_speed = _differentiated(joint, grid, processing)
+    if by_speed:
+        law = replace(law, command=law.command * np.sign(drive.ratio * motor_speed))
+        torque_step += ", positive where it drives"
     torque = law.drives(joint, motor_speed)
     back_emf = law.back_emf * motor_speed if law.back_emf else None
     if back_emf is not None:
@@ -180,6 +187,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
     off, excluded = _excluded(source, table, grid, warnings)
+    excluded |= grid.linear(stale.astype(np.float64)) > 0.0
     if source.steady:
         excluded |= speed == 0.0
     if excluded.any():
@@ -219,8 +227,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 # --- columns ------------------------------------------------------------------------------------
 
 
-def _aligned(source: Columns, table: Table) -> tuple[Columns, Table, Index]:
-    """Bring all columns to the rows, and to the time stamps, of the motion."""
+def aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
+    """Bring all columns, decoded, to the rows and time stamps of the motion.
+
+    Returns these stamps, too, in s since the recording's first.
+    """
     first = source.motion.column
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
@@ -228,45 +239,120 @@ def _aligned(source: Columns, table: Table) -> tuple[Columns, Table, Index]:
         if other != key:
             problem = f"is taken both for {other} and for {key}"
             raise BadInput(table.label(channel.column), problem, f"name another column for {key}")
+    clock = None
     if source.time is None:
         clocks = dict.fromkeys(c for column in source.columns if (c := table.clock(column)))
         if len(clocks) > 1:
             problem = f"its columns have time stamps of their own ({', '.join(clocks)})"
             raise BadInput(table.where, problem, "give time in place of rate")
-        stamps = np.arange(table.values(first).size, dtype=np.float64)
-        return source, *table.aligned(source.columns, first, None, stamps, source.valid)
-    clock = source.time.column
-    if clock in table.clocks.values():
-        clock = table.clock(first) or clock
-        time = source.time.model_copy(update={"column": clock})
-        source = source.model_copy(update={"time": time})
-    columns, stamps = source.columns, table.values(clock)
-    return source, *table.aligned(columns, first, clock, stamps, source.valid)
+    else:
+        clock = source.time.column
+        if clock in table.clocks.values():
+            clock = table.clock(first) or clock
+            own = source.time.model_copy(update={"column": clock})
+            source = source.model_copy(update={"time": own})
+        table = table.without_repeats(source.columns, clock)
+    source, table = decoded(source, table, drive)
+    time = recorded_time(source, table, table.values(first if clock is None else clock).size)
+    stamps = time if clock is None else table.stamps(clock)
+    table, rows = table.aligned(source.columns, first, clock, stamps, source.valid)
+    return source, table, time[rows]
+
+
+def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table]:
+    """Decode signs and counters that wrap, and leave out failed reads, before any interpolation."""
+    decoded, notes, update = dict[str | int, Array](), list[str](), dict[str, Channel]()
+    wraps = dict[str, tuple[float, float, float]]()  # median, turn and SI unit of a raw 1
+    for key, channel in source.channels.items():
+        values, turn, factor = table.values(channel.column), None, 1.0
+        if channel.twos_complement is not None:
+            full = 2.0**channel.twos_complement
+            values = np.where(values >= full / 2, values - full, values)
+        if channel.sign_bit is not None:
+            sign = 2.0**channel.sign_bit
+            values = np.where(values >= sign, sign - values, values)
+        if key in _MEASURED and not source.steady:
+            # a motion does not jump; a drive may be off for longer
+            most = None if key in ("position", "velocity") else 5
+            failed = checks.failed_reads(values, most)
+            if failed.any():
+                values = np.where(failed, np.nan, values)
+                where = (
+                    f"failed reads: column {channel.column!r} is 0 between values far from it in "
+                )
+                notes.append(f"{where}{int(failed.sum())} rows, left out")
+        if isinstance(channel, Position) and not isinstance(channel, Velocity):
+            motion = drive.motor_motion if channel.side == "motor" else drive.motion
+            plain = channel.model_copy(update={"times": None})  # of a target it is the supply
+            factor = _factor(plain, table, POSITION[motion], key)
+            turn = 2.0 * np.pi / factor if motion == "rotary" else None
+        if key in ("time", "position", "target") and np.isfinite(values).any():
+            values, modulus, jumps = checks.unwrapped(values, turn)
+            wraps[key] = (
+                float(np.nanmedian(values)),
+                modulus,
+                factor * (-1 if channel.sign == -1 else 1),
+            )
+            if jumps:
+                what = "a turn" if modulus == turn else f"{modulus:.0f} counts"
+                notes.append(f"{key}: jumps by {what} at {jumps} places, unwrapped")
+        if values is not table.values(channel.column):
+            decoded[channel.column] = values
+            update[key] = channel.model_copy(update={"twos_complement": None, "sign_bit": None})
+    if wraps.keys() >= {"position", "target"} and source.position and source.target:
+        # by whole turns near the position, which it was compared with before it was unwrapped
+        (goal, modulus, unit), (middle, other, by) = wraps["target"], wraps["position"]
+        size = max(modulus * abs(unit), other * abs(by))
+        if size and source.target.side == source.position.side:
+            turns = np.round((middle * by - goal * unit) / size)
+            column = source.target.column
+            decoded[column] = decoded.get(column, table.values(column)) + turns * size / unit
+    return source.model_copy(update=update), table.decoded(decoded, notes)
+
+
+def _fresh(source: Columns, table: Table, time: Array) -> tuple[Table, Array, Flags, list[str]]:
+    """Leave rows out that repeat motion and torque, as of a drive that answers more slowly.
+
+    Also flags rows that last longer than usual.
+    """
+    channels = source.channels
+    moved = [channels[key].column for key in ("position", "velocity") if key in channels]
+    drive = [channels[key].column for key in ("torque", "current", "voltage") if key in channels]
+    signals = [table.values(column) for column in (*moved, *drive)]
+    fresh = None
+    if drive and np.ptp(signals[-1]) and not source.steady:
+        fresh = checks.fresh_rows(signals)
+    if fresh is None:
+        return table, time, np.zeros(time.size, dtype=np.bool_), []
+    new, stale, hold = fresh
+    text = f"time: values are held over {hold} rows; those that repeat are left out ({len(new)} "
+    text += f"of {time.size} remain), and not compared where they last twice as long"
+    return table.part(new, time.size), time[new], stale, [text]
 
 
 def _signed(channel: Channel, table: Table) -> Array:
-    """Return a channel's raw numbers with their sign, before any factor, shape (n,)."""
-    values = table.column(channel.column)
-    if channel.twos_complement is not None:
-        full = 2.0**channel.twos_complement
-        values = np.where(values >= full / 2, values - full, values)
-    return values * channel.sign
+    """Return a channel's decoded numbers with their sign, before any factor, shape (n,)."""
+    return table.column(channel.column) * (1 if channel.sign == "by-speed" else channel.sign)
 
 
-def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
-    """Return a channel in SI units, shape (n,), times constants with units."""
+def _factor(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> float:
+    """Return the SI value of a channel's raw 1, or of its known value, times constants."""
     value = channel.value if isinstance(channel, Effort) else None
+    if value == 0.0:  # in any unit
+        return 0.0
     texts = [channel.unit if value is None else str(value), *constants]
     if channel.times is not None:
         texts.insert(1, channel.times_unit)
     both = " and times_unit" if channel.times is not None else ""
     where = f"{table.label(channel.column)}, unit{both} of {key}"
-    factor = 1.0
-    if value == 0.0:  # in any unit
-        factor = 0.0
-    elif texts != [SI]:
-        factor = units.scale(texts, kind, where, positive=value is None)
-    values = _signed(channel, table)
+    if texts == [SI]:
+        return 1.0
+    return units.scale(texts, kind, where, positive=value is None)
+
+
+def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
+    """Return a channel in SI units, shape (n,), times constants with units."""
+    factor, values = _factor(channel, table, kind, key, *constants), _signed(channel, table)
     if channel.times is not None:
         values = values * table.column(channel.times)
     return values * factor
@@ -283,20 +369,25 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
     kinds = VELOCITY if isinstance(channel, Velocity) else POSITION
     values = _scaled(channel, table, kinds[motion], key)
     step = f"{key}: of the motor, divided by {drive.ratio:g}" if motor else f"{key}: of the joint"
-    if kinds is POSITION and motion == "rotary":
-        values, jumps = checks.unwrapped(values)
-        if jumps:
-            step += f"; jumps by a turn at {jumps} places, unwrapped"
     return values / drive.ratio if motor else values, step
 
 
 def recorded_time(source: Columns, table: Table, count: int) -> Array:
-    """Return the stamps ``(count,)`` in s since the first."""
+    """Return the stamps ``(count,)`` in s since the first, NaN in holes."""
     if source.time is None:
-        return np.arange(count) / (source.rate or 1.0)
-    time = _scaled(source.time, table, "time", "time")
-    table.check_order(time, source.time.column)
-    return np.asarray(time - time[0]) if count else time
+        rows = np.arange(count) if table.rows is None else table.rows - table.rows[0]
+        # rows of several signals may take turns
+        stride = float(np.median(np.diff(rows))) if count > 1 else 1.0
+        if np.any(rows % stride):
+            problem = "the rows that where selects are not evenly spaced, and rate says no more"
+            raise BadInput(table.where, problem, "give time in place of rate")
+        return np.asarray(rows / stride / (source.rate or 1.0))
+    column = source.time.column
+    if table.is_dated(column) and source.time.unit not in ("s", SI):
+        problem = f"holds dates, which are read in s, and its unit is {source.time.unit!r}"
+        raise BadInput(table.label(column), problem, 'write unit = "s"')
+    time = table.stamps(column) * _factor(source.time, table, "time", "time")
+    return np.asarray(time - time[np.isfinite(time)][:1]) if np.isfinite(time).any() else time
 
 
 def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
@@ -436,7 +527,8 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     kp, kd = kp * to_side, kd * to_side
     # no drive holds a mean over the sample
     held = target.held and target.sampled == "instant"
-    step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
+    towards = target.value or f"column '{target.column}'"
+    step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""
     return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step
 

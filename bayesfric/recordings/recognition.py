@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,14 +13,16 @@ import numpy as np
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.tables import Table, as_dates
+from bayesfric.recordings.checks import unwrapped
+from bayesfric.recordings.measurement import implausible
+from bayesfric.recordings.tables import Table
 
 _DRIVES = ("torque", "current", "voltage")
 # Words for each channel, the most specific first.
 _WORDS = {
     "time": "time timestamp timestamps t ts stamp clock elapsed seconds millis micros received",
-    "position": "position positions pos q qpos angle theta phi encoder enc qm state",
-    "velocity": "velocity velocities vel qd dq qvel qdot speed omega v",
+    "position": "position positions pos q qpos angle theta phi encoder enc qm state counts ticks",
+    "velocity": "velocity velocities vel qd dq qvel qdot thetadot speed omega v",
     "torque": "torque torques tau effort efforts trq moment force load",
     "current": "current currents iq curr cur amps ampere i",
     "voltage": "voltage volts volt pwm duty u",
@@ -31,8 +33,8 @@ _WORDS = {
     "": "joint joints motor observation observations obs header in the output axis data value "
     "values signal log electrical control actual measured meas estimate est feedback",
 }
-# Letters that count only as the whole name.
-_LETTERS = {"t", "v", "i", "u"}
+# Words that count only as the whole name.
+_LETTERS = {"t", "v", "i", "u", "counts", "ticks"}
 _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "time": ("time",),
     "position": ("angle", "length"),
@@ -41,23 +43,58 @@ _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "current": ("current",),
     "voltage": ("voltage",),
 }
-# Outside brackets a word is a unit of these kinds only: a link, a hand or a foot is no length.
-_NAMED_KINDS = ("time", "angle", "angular_speed", "torque", "current", "voltage")
-# Units in names that pint would read otherwise.
-_SPELT = {
-    **dict.fromkeys(("rads", "radps", "rad s"), "rad/s"),
-    **dict.fromkeys(("degs", "degps", "deg s", "dps"), "deg/s"),
-    **{"m s": "m/s", "mm s": "mm/s", "mm": "mm"},
-    **{"nm": "N m", "n m": "N m", "mnm": "mN m", "a": "A", "ma": "mA", "v": "V"},
-    **{"unm": "uN m", "knm": "kN m", "cnm": "cN m", "ua": "uA", "millis": "ms", "micros": "us"},
+# Symbols in names, in small letters, and the unit that each is, after any prefix.
+_SYMBOLS = {
+    **{"s": "s", "sec": "s", "rad": "rad", "deg": "deg", "rpm": "rpm"},
+    **{"nm": "N m", "n m": "N m", "a": "A", "amp": "A", "v": "V"},
 }
+_PREFIXES = {
+    "": "",
+    "µ": "u",
+    "μ": "u",
+    **{p: p for p in ("n", "u", "m", "c", "d", "da", "h", "k")},
+}
+_ANGLES = ("rad", "radian", "radians", "deg", "degree", "degrees", "turn", "turns", "rev", "revs")
+_POUNDS = [(a, b) for a in ("lb", "lbf", "lbs", "oz", "ozf") for b in ("in", "ft")]
+# Units in names, as names write them: a link, a hand, a foot, a toe or a quad is none.
+_SPELT = {
+    **{f"{p}{word}": f"{x}{unit}" for word, unit in _SYMBOLS.items() for p, x in _PREFIXES.items()},
+    **{f"{p}seconds": f"{p}seconds" for p in ("", "milli", "micro", "nano")},
+    **{word: word for word in ("secs", "second", "rps", "dps", "amps", "ampere", "amperes")},
+    **{word: word for word in (*_ANGLES, "rotations", "volt", "volts", "mm", "lbf", "kgf", "°")},
+    **{"millis": "ms", "micros": "us", "m s": "m/s", "mm s": "mm/s", "nmm": "N mm", "ncm": "N cm"},
+    **{"rads": "rad/s", "radps": "rad/s", "degs": "deg/s", "degps": "deg/s"},
+    **{
+        f"{a}{gap}{b}": f"{a} {b}"
+        for pair in _POUNDS
+        for a, b in (pair, pair[::-1])
+        for gap in (" ", "")
+    },
+    **{f"{a}{gap}cm": f"{a} cm" for a in ("kg", "kgf") for gap in (" ", "")},
+    **{f"{angle} {time}": f"{angle}/{time}" for angle in _ANGLES for time in ("s", "sec", "min")},
+}
+# Words that are units in one language or trade, and another elsewhere.
+_AMBIGUOUS = {"grad", "mil"}
+_WORD = re.compile(r"[a-z]{3,}")
 _CHANNEL = {
     word: (channel, rank) for channel in _KINDS for rank, word in enumerate(_WORDS[channel].split())
 }
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 _FACTOR = re.compile(r"\d\.?\d*[A-Za-zµμ°]+$")  # a number before the unit at a name's end
-_PREFIXES = {"nano", "micro", "milli", "centi", "kilo", "mega"}
-_PARTS = re.compile(r"(?:[mukcµμ]?[AV]|[mukcµμ]?Nm)(?![A-Za-z])|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|°")
+_LONG_PREFIXES = {"nano", "micro", "milli", "centi", "deci", "deca", "hecto", "kilo", "mega"}
+_PARTS = re.compile(r"[a-zµμ]{0,2}(?:Nm|[AV])(?![A-Za-z])|[A-Z]?[a-zµμ]+|[A-Z]+(?![a-z])|\d+|°")
+# Names that write N_m, MNm, rad/s or rad_per_s.
+_WRITTEN = (
+    (re.compile(r"(?<=N)[ _.·*-](?=m(?![a-z]))"), ""),
+    (re.compile(r"[GM](?=Nm)"), "mega "),
+    (re.compile(r"_per_|/(?=s$)"), "_"),
+)
+# Objects of a drive by CiA 402, and what names say of them.
+_OBJECTS = {
+    **{"6064": "position", "606C": "velocity", "6077": "torque", "6078": "current"},
+    **{"607A": "target_position", "60FF": "target_velocity", "6071": "target_torque"},
+}
+_OBJECT = re.compile(rf"(?i)(?<![0-9a-z])(?:0x)?({'|'.join(_OBJECTS)})h?(?![0-9a-z])")
 
 
 @dataclass(frozen=True)
@@ -69,6 +106,7 @@ class Log:
     joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
     where: dict[str, float] = field(default_factory=dict)  # rows of the first recording of several
+    problems: tuple[str, ...] = ()  # what is wrong with a column, or may be another's
 
 
 class Named(NamedTuple):
@@ -84,7 +122,10 @@ class Named(NamedTuple):
 def recognise(table: Table, joint: str | None = None) -> Log:
     """Choose the columns of one joint, which may be named, by their names."""
     table, where = _one_episode(table)
-    signals = sorted((s for s in _signals(table) if not s[2].wanted), key=lambda s: s[2].rank)
+    problems = dict[str, str]()
+    signals = sorted(
+        (s for s in _signals(table, problems) if not s[2].wanted), key=lambda s: s[2].rank
+    )
     ranges = dict[str, float]()
     for _, values, name in signals:
         if name.channel == "position":
@@ -102,23 +143,88 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
+    label = label or ""
     chosen: dict[str, tuple[str, str]] = {}
     for channel in ("time", "position", "velocity", *_DRIVES):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
             continue
-        of = [
-            (column, name)
-            for column, values, name in signals
-            if name.channel == channel
-            and (channel != "time" or np.all(np.diff(values[np.isfinite(values)]) > 0.0))
-        ]
-        if of:
-            # the joint's, or else one without a joint
-            column, name = min(of, key=lambda s: (s[1].joint != label, s[1].joint != ""))
+        named_so = [(c, values, name) for c, values, name in signals if name.channel == channel]
+        if channel == "time":
+            named_so = _clocks(named_so)
+        fitting = _of_joint(named_so, label)
+        if fitting:
+            column, _, name = fitting[0]
             chosen[channel] = column, name.unit
+        elif named_so:
+            listed = ", ".join(repr(column) for column, _, _ in named_so[:20])
+            problems[channel] = f"{channel}: {listed} are not of joint {label!r}"
+        alike = [
+            c for c, _, name in fitting[1:] if channel != "time" and name[1:] == fitting[0][2][1:]
+        ]
+        if alike:
+            problems[channel] = f"{channel}: {', '.join(map(repr, alike[:20]))} may be it as well"
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
-    # a column that names no joint is none to choose
-    return Log(chosen, columns, label or "", tuple(filter(None, joints)) * (len(joints) > 1), where)
+    if "time" in chosen:
+        chosen["time"] = _checked_time(table, *chosen["time"], chosen, problems)
+    kept = {*_KINDS, *(column for column, _ in chosen.values())}
+    return Log(
+        chosen,
+        columns,
+        label,
+        # a column that names no joint is none to choose
+        tuple(filter(None, joints)) * (len(joints) > 1),
+        where,
+        tuple(text for of, text in problems.items() if of in kept),
+    )
+
+
+Signals = list[tuple[str, Array, "Named"]]
+
+
+def _clocks(signals: Signals) -> Signals:
+    """Sort the columns named as time, those first that never go back; none that stands still."""
+    back = [
+        (bool(np.any(np.diff(unwrapped(values)[0][np.isfinite(values)]) < 0.0)), k)
+        for k, (_, values, _) in enumerate(signals)
+        if np.nanmax(values) > np.nanmin(values)
+    ]
+    return [signals[k] for _, k in sorted(back)]
+
+
+def _of_joint(signals: Signals, label: str) -> Signals:
+    """Select the columns of a joint, else those of none, or all, if no two differ in it."""
+    for joint in (label, ""):
+        if matching := [s for s in signals if s[2].joint == joint]:
+            return matching
+    same = len({name.joint for _, _, name in signals}) == 1
+    return signals if same and not label else []
+
+
+def _checked_time(
+    table: Table,
+    column: str,
+    unit: str,
+    chosen: dict[str, tuple[str, str]],
+    problems: dict[str, str],
+) -> tuple[str, str]:
+    """Return time's column and its unit, open where no joint is recorded so; says what is wrong."""
+    if column in problems:
+        return column, unit
+    try:
+        once = table.without_repeats([name for name, _ in chosen.values()], column)
+        time = once.decoded({column: unwrapped(once.values(column))[0]}, ()).stamps(column)
+    except BadInput as error:
+        problems[column] = str(error)
+        return column, unit
+    time = time[np.isfinite(time)]
+    scale = units.scale([unit or "s"], "time")
+    period, span = scale * float(np.median(np.diff(time))), scale * float(time[-1] - time[0])
+    if unit and implausible(period, span):
+        problems[column] = (
+            f"time: in {unit} its rows are {period:.3g} s apart, of no joint's motion"
+        )
+        return column, ""
+    return column, unit
 
 
 def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
@@ -132,31 +238,36 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
     return table, {}
 
 
-def _signals(table: Table) -> Iterator[tuple[str, Array, Named]]:
+def _signals(table: Table, problems: dict[str, str]) -> Iterator[tuple[str, Array, Named]]:
     """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
         if not named(name).channel:
             continue
-        with suppress(BadInput):
-            if named(name).channel == "time" and as_dates(table.cells(name)) is not None:
+        try:
+            if named(name).channel == "time" and table.is_dated(name):
                 written = "s"
-            yield name, _numbers(table, name), named(name, written)
+            yield name, _numbers(table, name, problems), named(name, written)
             continue
+        except BadInput as error:
+            problems[name] = str(error)
         # a message that names its joints may have them in any order
         if any(other.startswith((f"{name}[", f"{name}.")) for other in table.names):
             continue
         with suppress(BadInput):  # the fourth signal of three, which ends a column of several
             for key in (f"{name}[{k}]" for k in range(64)):
-                yield key, _numbers(table, key), named(key, written)
+                yield key, _numbers(table, key, problems), named(key, written)
 
 
-def _numbers(table: Table, key: str) -> Array:
-    """Return a column ``(n,)``, NaN where it has holes; other cells must be numbers."""
-    rows = np.flatnonzero(~table.holes(key))
-    if rows.size < 2:
-        raise BadInput(table.label(key), "is empty", "check the export")
-    table.at(rows, table.cells(key).shape[0]).column(key)
-    return table.values(key)
+def _numbers(table: Table, key: str, problems: dict[str, str]) -> Array:
+    """Return a column ``(n,)``, NaN where it has no number, and say which cell holds another."""
+    values, rows = table.values(key), np.flatnonzero(~table.holes(key))
+    if np.isfinite(values).sum() < max(2.0, 0.5 * rows.size):
+        raise BadInput(table.label(key), "holds no numbers", "check the export")
+    try:
+        table.at(rows, values.size).column(key)
+    except BadInput as error:
+        problems[key] = str(error)
+    return values
 
 
 def named(name: str, written: str = "") -> Named:
@@ -164,42 +275,56 @@ def named(name: str, written: str = "") -> Named:
     text, inside = name.strip(), ""
     if brackets := _BRACKETS.search(text):
         text, inside = text[: brackets.start()], brackets[1].strip()
-    text = text.rpartition("/")[2].replace("i_q", "iq").replace("I_q", "Iq")
+    text = _OBJECT.sub(lambda index: _OBJECTS[index[1].upper()], text)
+    for pattern, replacement in _WRITTEN:
+        text = pattern.sub(replacement, text)
+    text = text.replace("i_q", "iq").replace("I_q", "Iq")
     words = [part.lower() for part in _PARTS.findall(text)]
     alone = sum(not word.isdecimal() for word in words) == 1
-    known_words = [
-        w
-        for w in words
+    known = [
+        k
+        for k, w in enumerate(words)
         if w in _CHANNEL
-        and (alone or w not in _LETTERS or _unit_of(_CHANNEL[w][0], " ".join(words[1:])))
+        and (alone or w not in _LETTERS or _unit_in_name(_CHANNEL[w][0], words[1:]))
     ]
-    if not known_words:
+    if not known:
         return Named("", 0, False, inside, "")
-    channel, rank = _CHANNEL[known_words[-1]]
-    left = [w for w in words if w not in _WORDS[channel].split()]
-    # texts that may be the unit, and how many of the remaining words they take
-    texts = [(written, 0, False), (inside, 0, False)]
-    if _PREFIXES.isdisjoint(left):
-        texts += [(" ".join(left[-2:]), 2, True), (" ".join(left[-1:]), 1, True)]
-        texts += [(known_words[-1], 0, True)]
-    units_in = ((_unit_of(channel, t, in_name=named), n) for t, n, named in texts)
-    unit, used = next(((unit, n) for unit, n in units_in if unit), ("", 0))
-    if not (written or inside) and _FACTOR.search(text):
-        unit = ""  # of 0.1 deg or 10 mA: the user writes it
-    known = " ".join(_WORDS.values()).split()
-    label = [w for w in left[: max(len(left) - used, 0)] if w not in known]
+    channel, rank = _CHANNEL[words[known[-1]]]
+    own = _WORDS[channel].split()
+    after = [w for w in words[known[-1] + 1 :] if w not in own]
+    left = [w for w in words[: known[-1]] if w not in own] + after
+    # a unit stands after the word of its signal, or is that word
+    texts = [(" ".join(after[-n:]), n) for n in (2, 1) if len(after) >= n]
+    if not _LONG_PREFIXES.isdisjoint(left):
+        texts = []
+    used = next((n for text, n in texts if _unit_in_name(channel, text.split())), 0)
+    unit = _unit_of(channel, written) or _unit_of(channel, inside)
+    if not unit and not written and not _FACTOR.search(text):
+        unit = _unit_in_name(channel, after[-used:] if used else [words[known[-1]]])
+    all_words = " ".join(_WORDS.values()).split()
+    label = [w for w in left[: len(left) - used] if w not in all_words]
     label += [inside] if inside and not _unit_of(channel, inside) else []
     wanted = any(w in _WORDS["wanted"].split() for w in left)
     return Named(channel, rank, wanted, " ".join(label), unit)
 
 
-def _unit_of(channel: str, text: str, *, in_name: bool = False) -> str:
-    """Return a unit as in a configuration; empty where it is not of the channel's kind."""
+def _unit_in_name(channel: str, words: Sequence[str]) -> str:
+    """Return the unit that some words of a name spell; empty where they spell none of its kind."""
+    return _unit_of(channel, _SPELT.get(" ".join(words), ""))
+
+
+def _unit_of(channel: str, text: str) -> str:
+    """Return a unit as in a configuration; empty where it is not of the channel's kind.
+
+    Also where it is a word for something else, or no joint is measured in it, as in megaseconds.
+    """
     text = text.strip().strip("[]()").strip()
-    if in_name and any(map(str.isdecimal, text.split())):
-        return ""  # the joint's number is no factor
-    spelt = _SPELT.get(text.lower(), text)
-    is_unit = any(map(str.isalpha, spelt))
-    by_name = not in_name or text.lower() in _SPELT
-    kinds = [kind for kind in _KINDS[channel] if by_name or kind in _NAMED_KINDS]
-    return spelt if is_unit and any(units.is_of(spelt, kind) for kind in kinds) else ""
+    if text.lower() in _AMBIGUOUS or (_WORD.fullmatch(text) and text not in _SPELT):
+        return ""
+    short = text if text.startswith("M") else text.lower()
+    for spelt in dict.fromkeys((_SPELT.get(short, text), text)):
+        is_unit = any(map(str.isalpha, spelt)) or "°" in spelt
+        for kind in _KINDS[channel] if is_unit else ():
+            if units.is_of(spelt, kind):
+                return spelt if units.scale([spelt], kind) <= 1e3 else ""
+    return ""

@@ -147,8 +147,8 @@ def observe(
         settings["feedback"] = law[0]
     if recording.velocity is not None:
         speed = derivative(q, segments, period, filters.reach)
-        factor = checks.speed_mismatch(qd, speed, compared)
-        warnings += _velocity_warnings(factor, checks.speed_delay(qd, speed, compared, period))
+        factor, late = checks.speed_mismatch(qd, speed, compared, period)
+        warnings += _velocity_warnings(factor, late)
         # a smaller mismatch may come from filters
         if factor is not None and not 0.5 < factor < 2.0:
             settings["velocity_factor"] = factor
@@ -380,7 +380,8 @@ def _filter_and_lay_windows(
         problem = f"trim = {trim * recording.period:.3g} s leaves no segment of {length} samples"
         raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
     if included == 0:
-        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
+        problem = "what is not compared (excluded, not valid, or held for long) leaves no output"
+        raise BadInput(f"{where}, exclude", problem, "exclude less, or log each answer once")
     windows = lay_windows(taps, parts, filters.factor, moving, share)
     resolution = filters.resolution
     settings: Settings = {
@@ -524,17 +525,19 @@ def _band_warnings(filters: _Filters, recording: Measurement) -> Iterator[str]:
 
 def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str]:
     hint = "leave its line out, and the position is differentiated"
+    after = ""
     if late is not None:
+        after = f"comes {abs(late):.2g} s {'after' if late > 0.0 else 'before'} the "
+        after += "differentiated position"
+    if factor is not None:
         yield (
-            f"velocity: comes {abs(late):.2g} s {'after' if late > 0.0 else 'before'} the "
-            f"differentiated position, as where a drive filters it: {hint}"
+            f"velocity: {f'{after}, and ' if after else ''}is {factor:.3g} times the "
+            f"differentiated position{checks.between(factor)}, and inertia and speed losses come "
+            "out wrong by as much: are column, unit, sign and side of both right? If a drive "
+            f"filters it, {hint}"
         )
-    elif factor is not None:
-        yield (
-            f"velocity: is {factor:.3g} times the differentiated position"
-            f"{checks.between(factor)}, and inertia and speed losses come out wrong by as much: "
-            f"are column, unit, sign and side of both right? If a drive filters it, {hint}"
-        )
+    elif after:
+        yield f"velocity: {after}, as where a drive filters it: {hint}"
 
 
 def _step_sentences(filters: _Filters, recording: Measurement, settings: Settings) -> Iterator[str]:

@@ -41,8 +41,9 @@ def _text_of(*kinds: units.Kind) -> AfterValidator:
     """Check a text's dimension but keep the text, as the mechanism determines the kind."""
 
     def check(text: str) -> str:
-        if not units.quantity(text, *kinds) > 0:
-            raise Unfit("a positive value", f"got '{text}'")
+        if not (value := units.quantity(text, *kinds)) > 0:
+            turned = ", and sign = -1" if value < 0 and "torque_constant" in kinds else ""
+            raise Unfit(f"a positive value{turned}", f"got '{text}'")
         return text
 
     return AfterValidator(check)
@@ -60,13 +61,24 @@ class Channel(Options):
         description="Unit of the raw numbers, such as 'rad', 'rpm', 'N m', 'turn/4096', "
         "'9.84e-5 N m' (then a raw 1 is that much), or 'SI' for the SI unit."
     )
-    sign: Literal[1, -1] = Field(1, description="-1 turns the signal around.")
+    sign: Literal[1, -1, "by-speed"] = Field(
+        1,
+        description="-1 turns the signal around; 'by-speed', of torque and current, is for a sign "
+        "that means driving (+) or braking (-) in place of a direction.",
+    )
     twos_complement: int | None = Field(
         None,
         ge=2,
         le=53,
         description="Bits of a signed number recorded as unsigned: values from 2**(bits-1) up "
         "get 2**bits subtracted.",
+    )
+    sign_bit: int | None = Field(
+        None,
+        ge=1,
+        le=52,
+        description="Bit that is the sign of a number recorded as unsigned: values from 2**bit up "
+        "are negative, by as much as they are above it.",
     )
     times: str | int | None = Field(
         None,
@@ -81,6 +93,13 @@ class Channel(Options):
     @classmethod
     def _no_guess(cls, value: str) -> str:
         return units.known(value)
+
+    @field_validator("sign")
+    @classmethod
+    def _by_speed(cls, value: Any) -> Any:
+        if value == "by-speed" and not issubclass(cls, Torque | Current):
+            raise Unfit("1 or -1", "'by-speed' is for torque and current")
+        return value
 
     @field_validator("column", "times")
     @classmethod
@@ -169,6 +188,10 @@ class Torque(Effort):
     constant: str | None = Field(
         None, description="What turns the signal into a torque, such as '35.15 N/V'."
     )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [handler(core), {"type": ["number", "string"]}]}
 
 
 class Current(Effort):
@@ -292,7 +315,8 @@ class Columns(Options):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.steady:
-            wrong = [k for k in ("time", "rate", "position", "target") if getattr(self, k)]
+            timed = ("time", "rate", "position", "target", "start", "stop", "exclude")
+            wrong = [key for key in timed if getattr(self, key)]
             if wrong or self.velocity is None:
                 got = f"got '{wrong[0]}'" if wrong else "got no 'velocity'"
                 raise Unfit("'velocity' and torque alone of steady points", got)

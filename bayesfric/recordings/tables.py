@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date
 from typing import Any
 
 import numpy as np
@@ -132,9 +133,20 @@ class Table:
         """Flag the cells ``(n,)`` without a value, unlike those with something else."""
         flags = np.isnan(self.values(key))
         if flags.any() and (cells := self.cells(key)).dtype.kind == "O":
-            texts = ("[]" if isinstance(cell, _LISTS) else str(cell).strip() for cell in cells)
-            flags &= np.array([text.casefold() in _EMPTY for text in texts])
+            flags &= np.array(
+                [_is_empty(cell) or np.isfinite(_number(cell, self.decimal)) for cell in cells]
+            )
         return flags
+
+    def decoded(self, columns: Mapping[str | int, Array], notes: Sequence[str]) -> Table:
+        """Replace the numbers of some columns, NaN where a number is none, as of a failed read."""
+        table = replace(self, notes=(*self.notes, *notes))
+        table._columns.update({**self._columns, **columns})
+        return table
+
+    def is_dated(self, key: str | int) -> bool:
+        """Whether a column holds dates."""
+        return as_dates(self.cells(key)) is not None
 
     def cells(self, key: str | int) -> NDArray[Any]:
         """Return the raw cells of the rows used, (n,) or, of several signals, (n, k)."""
@@ -168,6 +180,12 @@ class Table:
             return replace(self, rows=rows, count=count)
         return replace(self, rows=self.rows[rows])
 
+    def part(self, rows: Index, count: int) -> Table:
+        """Select some of ``count`` rows, also of columns that were interpolated."""
+        table = self.at(rows, count)
+        table._columns.update({key: values[rows] for key, values in self._columns.items()})
+        return table
+
     def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
         """Select the rows in which columns equal values."""
         table = self
@@ -185,19 +203,39 @@ class Table:
             table = table.at(rows, len(cells))
         return table
 
-    def check_order(self, time: Array, key: str | int) -> None:
-        """Refuse time stamps of a column ``key`` that do not increase."""
+    def stamps(self, key: str | int) -> Array:
+        """Return time stamps ``(n,)``, NaN in holes; the others must increase."""
+        times, rows = self.values(key), np.flatnonzero(~self.holes(key))
+        time, filled = times[rows], self.at(rows, times.size)
+        if not np.isfinite(time).all():
+            filled.column(key)  # names the cell
         wrong = np.diff(time) <= 0
         if not wrong.any():
-            return
+            return times
         index = int(np.argmax(wrong)) + 1
-        where = f"{self.label(key)}, {self.row(index)}"
+        where = f"{self.label(key)}, {filled.row(index)}"
         if time[index] == time[index - 1]:
-            problem = f"repeats the time stamp {time[index]:.9g} s of the row before"
+            problem = f"repeats the time stamp {time[index]:.9g} of the row before"
             hint = "cut the repeated rows out, or record time with finer resolution"
             raise BadInput(where, problem, hint)
-        problem = f"goes back in time, from {time[index - 1]:.9g} s to {time[index]:.9g} s"
+        problem = f"goes back in time, from {time[index - 1]:.9g} to {time[index]:.9g}"
         raise BadInput(where, problem, "sort the rows by time, or split the file there")
+
+    def without_repeats(self, keys: Sequence[str | int], clock: str | int) -> Table:
+        """Leave out rows that repeat the time stamp and all values of the row before."""
+        if self.clocks or not self.values(clock).size:
+            return self
+        again = np.diff(self.values(clock)) == 0.0
+        for key in keys if again.any() else ():
+            values = self.values(key)
+            if values.size != again.size + 1:
+                return self
+            again &= (np.diff(values) == 0.0) | np.isnan(values[1:] + values[:-1])
+        if not again.any():
+            return self
+        rows = np.flatnonzero(~np.append(False, again))
+        note = f"repeats: {int(again.sum())} of {again.size + 1} rows repeat the one before"
+        return replace(self.at(rows, again.size + 1), notes=(*self.notes, f"{note}, left out"))
 
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""
@@ -228,40 +266,44 @@ class Table:
             problem = f"has {used.size} values, the time column has {stamps.size}"
             raise BadInput(self.label(first), problem, "give columns of one length")
         base, columns, lacking = used.copy(), dict[str | int, Array](), list[str]()
+        own_stamps = list[str | int]()
         for key in keys:
             present, time = ~self.holes(key), stamps
             own = self.clock(key) if clock in self.clocks.values() else None
             if own not in (None, clock):
-                time = self.column(own)
-                self.check_order(time, own)
+                time = self.stamps(own)
             if present.size != time.size:
                 problem = f"has {present.size} values, column '{first}' has {time.size}"
                 raise BadInput(self.label(key), problem, "give columns of one length")
             if time is stamps and not present.all():
                 lacking.append(repr(key))
-            steps = np.diff(time[present])
+            columns[key] = self.values(key)
+            stamped = present & np.isfinite(time)
+            steps = np.diff(time[stamped])
             by_row = time is stamps and present[base].mean() >= 1.0 - max_share
-            if by_row or not steps.size or not np.all(steps > 0.0):
+            if by_row or key == clock or not steps.size or not np.all(steps > 0.0):
                 used &= present
                 continue
-            values = self.values(key)[present]
-            before = np.searchsorted(time[present], stamps, "right") - 1
-            inside = (before >= 0) & (stamps <= time[present][-1])
+            values = columns[key][stamped]
+            before = np.searchsorted(time[stamped], stamps, "right") - 1
+            inside = (before >= 0) & (stamps <= time[stamped][-1])
             used &= inside & (np.append(steps, 0.0)[before] <= gap * np.median(steps))
-            interpolated = np.interp(stamps, time[present], values)
+            interpolated = np.interp(stamps, time[stamped], values)
             columns[key] = values[before] if key == flag else interpolated
+            own_stamps.append(key)
         rows, notes = np.flatnonzero(used), list(self.notes)
         if not rows.size:
-            hint = "check their time stamps" if columns else "check the export"
+            hint = "check their time stamps" if own_stamps else "check the export"
             raise BadInput(self.where, "in no row have all columns a value", hint)
-        if rows.size == used.size and not columns:
+        if rows.size == used.size and not own_stamps:
             return self, rows
-        if columns:
-            clocks = ", ".join(sorted({repr(own) for key in columns if (own := self.clock(key))}))
-            note = f"time: columns {', '.join(map(repr, columns))} have time stamps of their own "
-            notes.append(note + f"({clocks or 'other rows'}), interpolated at those of {first!r}")
+        if own_stamps:
+            clocks = ", ".join(sorted({repr(x) for key in own_stamps if (x := self.clock(key))}))
+            note = f"time: columns {', '.join(map(repr, own_stamps))} have time stamps of their "
+            note += f"own ({clocks or 'other rows'}), interpolated at those of {first!r}"
+            notes.append(note)
         if rows.size < used.size:
-            why = f": cells of columns {', '.join(lacking)} are empty" if lacking else ""
+            why = f": cells of columns {', '.join(lacking)} hold no value" if lacking else ""
             notes.append(f"holes: {used.size - rows.size} of {used.size} rows left out{why}")
         table = replace(self.at(rows, used.size), notes=tuple(notes))
         table._columns.update({key: values[rows] for key, values in columns.items()})
@@ -270,9 +312,11 @@ class Table:
 
 def as_dates(cells: NDArray[Any]) -> NDArray[np.datetime64] | None:
     """Read cells ``(n,)`` of dates, or of text by ISO 8601; ``None`` if they are others."""
-    first = cells.ndim == 1 and cells.size and cells.dtype.kind == "O"
-    text = cells[0] if first else None
-    if isinstance(text, str) and _ISO_8601.match(text.strip()):
+    if cells.ndim == 1 and cells.dtype.kind == "O":
+        first = next((cell for cell in cells if not _is_empty(cell)), None)
+        text = isinstance(first, str) and _ISO_8601.match(first.strip())
+        if not text and not isinstance(first, date):
+            return None
         import pandas as pd
 
         dates = pd.to_datetime(pd.Series(cells), utc=True, format="ISO8601", errors="coerce")
@@ -280,6 +324,12 @@ def as_dates(cells: NDArray[Any]) -> NDArray[np.datetime64] | None:
     if cells.dtype.kind != "M" or np.isnat(cells).all():
         return None
     return cells.astype("datetime64[ns]")
+
+
+def _is_empty(cell: Any) -> bool:
+    """Whether a cell holds no value, unlike one with something else than a number."""
+    text = "[]" if isinstance(cell, _LISTS) else str(cell).strip()
+    return text.casefold() in _EMPTY
 
 
 def _number(cell: Any, decimal: str) -> float:

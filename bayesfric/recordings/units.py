@@ -48,18 +48,30 @@ _KINDS: dict[Kind, tuple[str, str]] = {
 _SLIDING: dict[Kind, Kind] = {"angle": "length", "angular_speed": "speed", "torque": "force"}
 
 # What data sheets write, and what pint would read as another quantity, as none, or, by its version,
-# as either: "Nm", "N.m", "Ncm", "oz-in", "lb-ft", "kg-cm", "RPM", "r/min", "DEG", "Amps".
+# as either: "Nm", "N.m", "Nmm", "oz-in", "lbs-ft", "kg cm", "RPM", "1/min", "DEG/S", "Arms".
 _SPELLINGS = [
-    (re.compile(rf"(?<![A-Za-zµμ]){pattern}(?![A-Za-z])"), replacement)
+    (re.compile(rf"(?<![A-Za-zµμ])(?:{pattern})(?![A-Za-z])"), replacement)
     for pattern, replacement in (
-        (r"([mkMcuµμ]?)N[-.·]?(c?m)", r"(\1N*\2)"),
-        (r"ozf?[-.· ]?in", "(ozf*inch)"),
-        (r"lbf?[-.· ]?(in|ft)", r"(lbf*\1)"),
-        (r"(in|ft)[-.· ]?lbf?", r"(lbf*\1)"),
-        (r"kgf?[-.·]?(c?m)", r"(kgf*\1)"),
-        (r"(RPM|r/min)", "rpm"),
-        (r"D(EG|eg)", "deg"),
-        (r"[Aa]mps?", "A"),
+        (r"(?i:newton)[-_ ]?(?i:met(?:er|re)s?)", "(N*m)"),
+        (r"((?:da|[munµμkcdhM])?)N[-*]?([cm]?m)", r"(\1N*\2)"),
+        (r"ozf?[-* ]?in|in[-* ]?ozf?", "(ozf*inch)"),
+        (r"lb[fs]?[-* ]?(in|ft)", r"(lbf*\1)"),
+        (r"(in|ft)[-* ]?lb[fs]?", r"(lbf*\1)"),
+        (r"(k?g)f?[-* ]?([cm]m)", r"(\1f*\2)"),
+        (r"kgf?-?m", "(kgf*m)"),
+        (r"(?:rev |r )?min\^-1|(?<![\d.])1/min|[rU]/min|(?i:rpm)", "rpm"),
+        (r"[kK](?i:rpm)|(?<=/)1000 ?(?i:rpm)", "krpm"),
+        (r"(?i:dps)", "(deg/s)"),
+        (r"(?i:radps)", "(rad/s)"),
+        (r"(?i:deg(?:rees?)?)", "deg"),
+        (r"(?i:rad(?:ians?)?)", "rad"),
+        (r"(?i:turns?|rev(?:s|olutions?)?|rotations?)", "turn"),
+        (r"(?i:rps)", "(turn/s)"),
+        (r"(?<=/)(?i:s(?:ec(?:ond)?)?)", "s"),
+        (r"(?i:sec(?:ond)?s?)", "s"),
+        (r"(?i:amp(?:ere)?s?)", "A"),
+        (r"([mµμu]?[AV]) ?rms", r"\1"),
+        (r"(?i:volts?)", "V"),
     )
 ]
 # Written by ``bayesfric init --from`` for what a log does not give.
@@ -82,7 +94,9 @@ def _base(text: str) -> tuple[float, dict[str, float]]:
     """Return the SI factor of a unit text and the powers of its base units."""
     if not text.strip():
         return 1.0, {}
-    prepared = text
+    # powers without a sign, "rad s-1", and products by a dot, of which versions of pint differ
+    prepared = re.sub(r"(?<=[a-z])(?<![\d.]e)-(?=\d)", "^-", text)
+    prepared = re.sub(r"(?<=[A-Za-zµμ])[.·⋅](?=[A-Za-zµμ])", "*", prepared)
     for pattern, replacement in _SPELLINGS:
         prepared = pattern.sub(replacement, prepared)
     # pint takes a number before a bracket for a call

@@ -12,10 +12,9 @@ from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.figures.registry import RUN_FIGURES as FIGURES
-from bayesfric.report.figures.registry import Declared, captions
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.page.pages import run_page
-from bayesfric.report.paper.tables import latex_texts, summary_texts
+from bayesfric.report.paper.tables import text_files
 from bayesfric.report.posterior_file import posterior_tree
 from bayesfric.report.summary.record import Readable, Summary
 
@@ -56,12 +55,8 @@ def write_run(
         if draws is not None:
             return
         kinds = ALL_KINDS if paper else ON_PAGE
-        drawn = draw(partial / "figures", fit, summary, kinds, progress)
-        texts = summary_texts(summary, folder.name)
-        texts["text/captions.md"] = captions(fit, summary, drawn)
-        if paper:
-            texts |= latex_texts(summary, folder.name)
-        for name, text in texts.items():
+        draw(partial / "figures", fit, summary, kinds, progress)
+        for name, text in text_files(summary, folder.name, paper=paper).items():
             (partial / name).parent.mkdir(exist_ok=True)
             (partial / name).write_text(text, encoding="utf-8")
         progress(Progress("page"))
@@ -72,13 +67,10 @@ def write_run(
 
 def draw(
     folder: Path, fit: Fit, summary: Summary, kinds: Sequence[str], progress: ProgressCallback
-) -> list[Declared]:
-    """Draw a run's figures into ``folder``, and return those that show anything."""
+) -> None:
+    """Draw a run's figures into ``folder``, those that show anything."""
     folder.mkdir(exist_ok=True)
-    drawn = []
     for stem, declared in FIGURES.items():
         progress(Progress(f"figure {stem}"))
         if (figure := declared.draw(fit, summary)) is not None:
             save(figure, folder, stem, kinds)
-            drawn.append(declared)
-    return drawn

@@ -170,7 +170,7 @@ def covered(folder: Path, kind: str, parts: int = 20) -> dict[str, Any]:
         runs = folder / "all" / "units"
         names = [unit.name for unit in plan.units[k::parts]]
         summaries = {name: Summary.read(read_summary_file(runs / name)) for name in names}
-        for quantity in fleet_population(runs, summaries):
+        for quantity in fleet_population(summaries):
             if quantity.name not in POPULATION[kind]:
                 continue
             held = counts.setdefault(quantity.name, {"fleets": 0, "mean": 0, "spread": 0})

@@ -18,11 +18,9 @@ from bayesfric.report.figures.style import (
     MEASURED,
     PAGE,
     PALETTE,
+    axis_label,
     few_ticks,
-    mathtext,
     paper_style,
-    power_of_ten,
-    scaled_unit,
 )
 
 # Seconds shown from the start.
@@ -120,16 +118,14 @@ def cutoff_figure(
         )
         for ax, name in zip(axes.flat, _PANELS, strict=True):
             true = truth[name]
-            exponent = power_of_ten(true, true)
-            factor = 10.0**exponent
-            ax.axhline(true / factor, color=PALETTE[2], linewidth=1.0, label="truth")
+            ax.axhline(true, color=PALETTE[2], linewidth=1.0, label="truth")
             for method, marker, shift, color in (
                 ("input-error", "^", 0.97, "#5e5e5e"),
                 ("output-error", "D", 1.03, PALETTE[1]),
             ):
                 values = [by_cutoff[c][method][name] for c in cutoffs]
-                estimates = np.array([v.value for v in values]) / factor
-                sd = np.array([v.sd_robust for v in values]) / factor
+                estimates = np.array([v.value for v in values])
+                sd = np.array([v.sd_robust for v in values])
                 bound = ~np.isfinite(sd)
                 ax.errorbar(
                     cutoffs[~bound] * shift,
@@ -153,8 +149,7 @@ def cutoff_figure(
                     fillstyle="none",
                 )
             v: Any = by_cutoff[cutoffs[0]]["input-error"][name]
-            unit = scaled_unit(exponent, v.unit)
-            ax.set_ylabel(f"{mathtext(v.symbol, name)} ({unit})", labelpad=1.0)
+            ax.set_ylabel(axis_label(v.symbol, name, v.unit), labelpad=1.0)
             ax.set_xscale("log")
             ax.set_xticks([20, 50, 100, 200, 400], ["20", "50", "100", "200", "400"])
             ax.minorticks_off()

@@ -2,7 +2,7 @@
 
 ``python studies/replication/fleets.py`` draws 200 fleets of each size: every run swings the same
 axis on its own way, with its own viscous loss; its posterior is that of the linear regression,
-which is exact. Pooled by weighting their draws anew, counted is how often the 90 % intervals hold
+which is exact. Pooled by their means and sds, counted is how often the 90 % intervals hold
 the population's mean, its spread, the next run's true value and the runs' own: of runs that know
 theirs better than the spread, and of runs that hardly do. With ``--jointly`` 20 fleets of 5 of the
 second kind go the whole way of ``bayesfric pool`` (ten minutes). Writes ``fleets.json``.
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayesfric as bf
-from bayesfric.population.population import Interval, likelihood, population
+from bayesfric.population.population import Interval, population
 
 HERE = Path(__file__).resolve().parent
 SEED = 2032
@@ -68,7 +68,8 @@ def reweighted(number: int, size: int, noises: tuple[float, float]) -> list[bool
     """Pool one fleet; whether intervals hold mean, spread, next run and, of the runs, the first."""
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(size, number)))
     true = MEAN + SPREAD * rng.standard_normal(size)
-    pooled = population([likelihood(regression(v, rng, noises)) for v in true], seed=number)
+    draws = [regression(v, rng, noises) for v in true]
+    pooled = population([x.mean() for x in draws], [x.std() for x in draws], seed=number)
     following = MEAN + SPREAD * rng.standard_normal()
     return [
         _holds(pooled.mean, MEAN),

@@ -217,7 +217,7 @@ def test_viscous_friction_takes_up_the_error_of_the_back_emf(viscous_kind, delay
     summary = bf.Model(joint, recording).fit().summary
     names = [name for name in summary.parameters if "viscous" in name]
     assert list(summary.fit.back_emf["same_as_back_emf"]) == names
-    assert summary.fit.back_emf.nominal == pytest.approx(KT**2 / R)
+    assert summary.fit.back_emf["nominal"] == pytest.approx(KT**2 / R)
     assert [message.kind for message in messages_of(summary)].count("back-EMF") == 1
     if viscous_kind is True:
         row = summary.parameters["motor.viscous"]

@@ -156,7 +156,7 @@ def test_the_page_of_several_runs(runs):
         # the second run is 0.7 sds off: nobody can call that a difference
         assert agreement.text == "2 of 2 agree"
     # what one run leaves open is open in its column, whatever the other says
-    for cell in page.all("td", **{"data-status": "undetermined"}):
+    for cell in page.all("td", **{"data-status": "unidentified"}):
         assert not set("[±") & set(cell.text)
 
 

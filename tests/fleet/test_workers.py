@@ -8,11 +8,10 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
+from bayesfric.fit.model import Result
 from bayesfric.fleet import fleet
 from bayesfric.fleet.plan import read_plan
 from bayesfric.fleet.workers import UNIT, fit_unit, is_fitted
-from bayesfric.report.comparison.between_runs import read_draws
-from bayesfric.report.summary.record import Summary, read_summary_file
 
 from .simulated_fleet import write_fleet
 
@@ -31,15 +30,14 @@ def test_a_unit_is_a_small_run_until_its_configuration_or_recording_changes(tmp_
     os.utime(tmp_path / "u0.csv", (later, later))
     assert not is_fitted(run, text, plan.template)
     assert sum(file.stat().st_size for file in run.iterdir()) < 130_000
-    draws, _ = read_draws(run, Summary.read(read_summary_file(run)))
-    assert {x.size for x in draws.values()} == {300}
+    assert Result.read(run).draws.shape[0] == 300
 
 
 def test_a_fleet_resumes_missing_and_failed_units(tmp_path, monkeypatch):
-    def in_this_process(configurations, folder, template, draws, options, finished):  # noqa: ARG001
+    def in_this_process(configurations, folder, template, draws, options):  # noqa: ARG001
         for name, text in configurations.items():
             why, seconds = fit_unit(text, str(folder / name), template=str(template), draws=draws)
-            finished(name, why, False, seconds)
+            yield name, why, False, seconds
 
     def times():
         paths = [tmp_path / "out/units" / unit / UNIT for unit in ("a0", "a1")]
@@ -66,9 +64,9 @@ def test_a_fleet_resumes_missing_and_failed_units(tmp_path, monkeypatch):
 
 
 def test_an_error_of_a_worker_is_reported_with_its_unit(tmp_path, monkeypatch):
-    def fails(configurations, folder, template, draws, options, finished):  # noqa: ARG001
+    def fails(configurations, folder, template, draws, options):  # noqa: ARG001
         for name in configurations:
-            finished(name, "ZeroDivisionError: of all", True, 0.0)
+            yield name, "ZeroDivisionError: of all", True, 0.0
 
     path = write_fleet(tmp_path, good=1)
     monkeypatch.setattr(fleet, "fit_units", fails)

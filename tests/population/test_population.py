@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.population.population import likelihood, normal, population, with_outliers
+from bayesfric.population.population import population, with_outliers
 
 
 def test_normal_runs_have_the_posterior_of_the_closed_form():
@@ -17,9 +17,8 @@ def test_normal_runs_have_the_posterior_of_the_closed_form():
     log = 0.5 * np.log((1.0 / v**2).sum(axis=1)) + 2.0 * np.log(tau)  # the prior, of log tau
     log -= 0.5 * (np.log(v) + (y - centre[:, None]) ** 2 / v).sum(axis=1) + 0.5 * np.log(total)
     cdf = np.cumsum(np.exp(log - log.max()))
-    runs = [normal(mean, sd) for mean, sd in zip(y, s, strict=True)]
     for level in (0.1, 0.5, 0.9):
-        spread = population(runs, level).spread
+        spread = population(y, s, level).spread
         shares = np.interp([spread.low, spread.high], tau, cdf / cdf[-1])
         # three standard errors of 8000 draws, and the grid
         expected = [0.5 - level / 2.0, 0.5 + level / 2.0]
@@ -30,7 +29,7 @@ def test_normal_runs_have_the_posterior_of_the_closed_form():
 def test_far_above_their_sds_runs_give_students_t_and_chi_squares(scale):
     """tau^2 >> s^2: the reference prior is 1/tau, whose intervals are exact in any sample."""
     y = scale * np.array([3.0, 5.0, 8.5, 4.0, 11.0, 6.5])
-    result = population([normal(mean, 1e-3 * scale) for mean in y], 0.9)
+    result = population(y, np.full(6, 1e-3 * scale), 0.9)
     half = stats.t.ppf(0.95, 5) * y.std(ddof=1) / np.sqrt(6)
     error = 0.05 * half  # of a quantile of 8000 draws
     assert result.mean.low == pytest.approx(y.mean() - half, abs=error)
@@ -44,47 +43,31 @@ def test_far_above_their_sds_runs_give_students_t_and_chi_squares(scale):
 
 
 def test_a_far_value_without_precision_moves_nothing():
-    near = population([normal(1.0, 0.1), normal(1.2, 0.1), normal(1.1, 0.1)])
-    far = population([normal(1.0, 0.1), normal(1.2, 0.1), normal(1.1, 0.1), normal(50.0, 1e6)])
+    near = population([1.0, 1.2, 1.1], [0.1, 0.1, 0.1])
+    far = population([1.0, 1.2, 1.1, 50.0], [0.1, 0.1, 0.1, 1e6])
     assert far.mean.median == pytest.approx(near.mean.median, abs=0.02)
 
 
 def test_cochrans_q_has_its_closed_form():
     y, s = np.array([1.0, 1.5, 3.0]), np.array([0.5, 0.25, 1.0])
-    result = population([normal(m, sd) for m, sd in zip(y, s, strict=True)])
+    result = population(y, s)
     w = 1.0 / s**2
     q = (w * (y - np.average(y, weights=w)) ** 2).sum()
     assert result.q == pytest.approx(q, rel=1e-12)
     assert result.p_value == pytest.approx(stats.chi2.sf(q, 2), rel=1e-12)
 
 
-def test_a_likelihood_has_the_moments_of_its_draws():
-    draws = np.random.default_rng(1).gamma(4.0, size=20_000)
-    result = likelihood(draws)
-    assert result.mean == pytest.approx(draws.mean(), rel=0.01)
-    assert result.sd == pytest.approx(draws.std(), rel=0.02)
-    assert likelihood(draws, sd=3.0 * draws.std()).sd == pytest.approx(3.0 * draws.std(), rel=0.02)
-
-
-def test_a_prior_is_divided_out_once():
-    """Posterior N(0.8, 0.8) under a N(0, 4) prior: the data said N(1, 1)."""
-    rng = np.random.default_rng(2)
-    posterior = 0.8 + np.sqrt(0.8) * rng.standard_normal(20_000)
-    result = likelihood(posterior, prior=2.0 * rng.standard_normal(5000))
-    # the likelihood ends where the draws do, some three sds out
-    assert result.mean == pytest.approx(1.0, abs=0.05)
-    assert result.sd == pytest.approx(1.0, abs=0.05)
+def test_no_value_is_below_its_bound():
+    """Two runs far apart leave a normal population room below zero, where no friction is."""
+    result = population([0.1, 0.9], [0.01, 0.01], lower=0.0)
+    assert (result.mean.low, result.following.low) == (0.0, 0.0)
+    assert result.following.high > 0.9
 
 
 @pytest.mark.parametrize("method", [population, with_outliers])
 def test_a_population_takes_two_runs(method):
     with pytest.raises(ValueError, match="two runs"):
-        method([normal(1.0, 1.0)])
-
-
-def test_draws_that_do_not_differ_are_no_likelihood():
-    with pytest.raises(ValueError, match="do not differ"):
-        likelihood(np.ones(100))
+        method([1.0], [1.0])
 
 
 def brute_force(y, s):
@@ -110,7 +93,7 @@ def test_outliers_have_the_posterior_of_the_dense_grid():
     y = np.array([0.0, 0.6, -0.5, 0.3, 7.0, 0.1, -0.2])
     s = np.array([0.3, 0.4, 0.3, 0.5, 0.6, 0.2, 0.4])
     chances, mean = brute_force(y, s)
-    result = with_outliers([normal(m, sd) for m, sd in zip(y, s, strict=True)])
+    result = with_outliers(y, s)
     assert result.outlying == pytest.approx(chances, abs=0.03)
     assert result.outlying[4] > 0.8
     # the median of 8000 draws, where the mean of them would lean on the far tail
@@ -120,8 +103,7 @@ def test_outliers_have_the_posterior_of_the_dense_grid():
 def test_units_of_measure_change_no_probability():
     scale = 1e-6
     y, s = np.array([0.0, 0.6, -0.5, 0.3, 7.0]), np.array([0.3, 0.4, 0.3, 0.5, 0.6])
-    runs = [[normal(k * m, k * sd) for m, sd in zip(y, s, strict=True)] for k in (1.0, scale)]
-    first, second = map(with_outliers, runs)
+    first, second = (with_outliers(k * y, k * s) for k in (1.0, scale))
     assert second.outlying == pytest.approx(first.outlying, rel=1e-6)
     assert second.spread.high == pytest.approx(scale * first.spread.high, rel=1e-6)
 
@@ -137,11 +119,7 @@ def units(seed, n, worn):
 
 def test_worn_units_are_outliers_and_widen_nothing():
     true, s, rng = units(0, 300, 5)
-    runs = [
-        likelihood(t + e * (rng.standard_normal() + rng.standard_normal(300)), e)
-        for t, e in zip(true, s, strict=True)
-    ]
-    result = with_outliers(runs)
+    result = with_outliers(true + s * rng.standard_normal(300), s)
     assert set(np.argsort(result.outlying)[-5:]) == set(range(5))
     assert min(result.outlying[:5]) > 0.5
     assert result.spread.low < 0.2 < result.spread.high
@@ -155,8 +133,7 @@ def test_intervals_cover_at_their_level():
     repetitions = 100
     for seed in range(repetitions):
         true, s, rng = units(seed, 400, 4)
-        runs = [normal(t + e * rng.standard_normal(), e) for t, e in zip(true, s, strict=True)]
-        result = with_outliers(runs)
+        result = with_outliers(true + s * rng.standard_normal(400), s)
         covered += [
             result.mean.low < 5.0 < result.mean.high,
             result.spread.low < 0.2 < result.spread.high,

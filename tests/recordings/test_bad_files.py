@@ -55,7 +55,7 @@ VELOCITY = {"column": 9, "unit": "rad/s"}
         # time stamps and signals that make no sense
         *(("\n".join(rows), source(), parts) for rows, parts in (
             ([*ROWS[:17], ROWS[18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)"]),
-            ([*ROWS[:18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)"]),
+            ([*ROWS[:18], ROWS[17].replace(",", ",9"), *ROWS[19:]], ["'t'", "row 18 (line 19)"]),
             (constant(1), ["'q'"]),
             (constant(2), ["'tau'"]),
             (lines(30), ["30"]),

@@ -145,6 +145,12 @@ def test_rosbags_is_not_installed(tmp_path, monkeypatch):
     has(refused(tmp_path, used("bag")), "pip install 'bayesfric[ros]'")
 
 
+def test_pyarrow_is_not_installed(tmp_path, monkeypatch):
+    logs.write_lerobot(tmp_path / "run.parquet", *logs.numbers())
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    has(refusal(lambda: opened(tmp_path / "run.parquet")), "pip install 'bayesfric[parquet]'")
+
+
 # -- HDF5 and JSON lines
 
 

@@ -1,12 +1,14 @@
 """Experiments other than a motion under a recorded torque, with true values as oracles."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from pydantic import ValidationError
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.diagnostics.candidates import BY_NAME
+from bayesfric.recordings.checks import fresh_rows
 from bayesfric.recordings.source import Torque
 from tests.axis import swing
 
@@ -59,19 +61,24 @@ LIFT = {"motor.inertia": 2.0, "motor.viscous": 3.0, "motor.coulomb": 1.0, "offse
 CONSTANTS = {"torque_constant": "2 N/A", "resistance": "1 ohm"}
 
 
-@pytest.mark.parametrize("as_column", [False, True])
-def test_a_constant_voltage_is_an_input(as_column):
+@pytest.mark.parametrize("by", ["voltage", "column of voltages", "torque"])
+def test_a_constant_input_moves_a_joint(by):
     time, recordings = np.arange(300) * 0.01, []
     j, b, c, offset = LIFT.values()
+    brake = 0.0 if by == "torque" else 4.0  # kt²/R
     for volts in (7.0, 4.0, -5.0, -3.0):
-        # closed form from rest: the back-EMF kt²/R brakes too, and the measured torque holds offset
-        rate = (b + 4.0) / j
-        final = (2.0 * volts - c * np.sign(volts) - offset) / (b + 4.0)
+        # closed form from rest; the measured torque holds the offset
+        rate = (b + brake) / j
+        final = (2.0 * volts - c * np.sign(volts) - offset) / (b + brake)
         speed = final * (1.0 - np.exp(-rate * time))
         position = final * (time - (1.0 - np.exp(-rate * time)) / rate)
         speed += 1e-4 * np.random.default_rng(4).standard_normal(time.size)
-        voltage = np.full(time.size, volts) if as_column else f"{volts} V"
-        keys = {"velocity": speed, "voltage": voltage, "name": f"at {volts:g} V"} | CONSTANTS
+        drive = {"voltage": f"{volts} V"} | CONSTANTS
+        if by == "column of voltages":
+            drive["voltage"] = np.full(time.size, volts)
+        if by == "torque":
+            drive = {"torque": f"{2.0 * volts} N"}
+        keys = {"velocity": speed, "name": f"at {volts:g} V"} | drive
         recordings.append(bf.Recording.from_arrays(time, position, **keys))
     joint = bf.Joint(
         [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True, motion="linear")],
@@ -117,6 +124,15 @@ def test_speed_alone_determines_all_but_terms_of_the_position():
     kinds = model.explain().kinds
     assert kinds
     assert not any(BY_NAME[kind].of_position for kind in kinds if kind in BY_NAME)
+
+
+def test_speed_alone_beside_a_recording_with_its_position():
+    time, rng = np.arange(1500) * 0.01, np.random.default_rng(5)
+    q, qd, qdd = swing(time, ((0.3, 1.0), (0.7, 0.3), (1.3, 0.1)))
+    torque = axis_torque(qd, qdd, AXIS, rng) + 0.05 * np.sin(q)
+    recordings = [bf.Recording.from_arrays(time, q, torque, velocity=qd), speed_alone(name="b")]
+    model = bf.Model(bf.Joint.preset("motor-axis"), recordings)
+    assert "gravity" in model.explain().kinds
 
 
 @pytest.mark.parametrize(
@@ -166,7 +182,9 @@ def test_few_points_are_checked_as_any_recording():
         model.estimates(["output-error"])
 
 
-@pytest.mark.parametrize("wrong", [{"rate": 10}, {"torque": None}, {"velocity": None}])
+@pytest.mark.parametrize(
+    "wrong", [{"rate": 10}, {"start": 1}, {"torque": None}, {"velocity": None}]
+)
 def test_steady_points_have_speed_and_torque_alone(wrong):
     keys = {"time": None, "position": None, "torque": SPEEDS, "velocity": SPEEDS, "steady": True}
     with pytest.raises(BadInput):
@@ -199,3 +217,90 @@ def test_what_is_left_is_a_share_of_the_torque(level):
     noise = result.summary.fit.residual_rms
     mean = level + 0.37
     assert result.summary.verdict.left == pytest.approx(noise / np.hypot(mean, noise), rel=0.01)
+
+
+# --- signs and repeats --------------------------------------------------------------------------
+
+SERVO = {"motor.inertia": 0.05, "motor.viscous": 0.3, "motor.coulomb": 0.5}
+
+
+def test_a_current_signed_by_braking_is_named_and_mended():
+    rng, time = np.random.default_rng(10), np.arange(3000) * 0.005
+    q, qd, qdd = swing(time, ((0.2, 0.8), (0.7, 0.4), (2.5, 0.2)))
+    current = axis_torque(qd, qdd, SERVO, rng) * np.sign(qd)
+    frame = {"time": time, "position": q, "velocity": qd, "current": current}
+    keys = {"time": "time", "position": "position", "velocity": "velocity"}
+
+    def model(**sign):
+        column = {"column": "current", "unit": "A", "torque_constant": "1 N m/A", **sign}
+        recording = bf.Recording.from_dataframe(pd.DataFrame(frame), current=column, **keys)
+        return bf.Model(bf.Joint.preset("motor-axis"), recording)
+
+    (finding, *_) = model().explain().findings
+    assert finding.kind == "current_column"
+    assert 'sign = "by-speed"' in finding.shape
+    assert_holds(model(sign="by-speed"), SERVO)
+
+
+@pytest.mark.parametrize("key", ["time", "position", "voltage"])
+def test_only_torque_and_current_are_signed_by_speed(key):
+    keys = {"time": "t", "position": "q", key: {"column": "x", "unit": "SI", "sign": "by-speed"}}
+    if key != "voltage":
+        keys["torque"] = "tau"
+    with pytest.raises(BadInput):
+        bf.Recording.from_file("none.csv", **keys)
+
+
+def test_a_negative_torque_constant_is_a_sign():
+    keys = {"current": np.ones(9), "torque_constant": "-0.055 N m/A"}
+    with pytest.raises(BadInput) as caught:
+        bf.Recording.from_arrays(np.arange(9.0), np.ones(9), **keys)
+    assert "sign = -1" in caught.value.hint
+
+
+def held(x, rows):
+    return x[np.arange(x.size) // rows * rows]
+
+
+@pytest.mark.parametrize("rows", [1, 5])
+def test_values_that_are_held_over_rows_count_once(rows):
+    rng, time = np.random.default_rng(11), np.arange(9000) / 350.0
+    q, qd, qdd = swing(time, ((0.2, 0.8), (0.5, 0.4), (1.1, 0.15)))
+    torque = axis_torque(qd, qdd, AXIS, rng)
+    recording = bf.Recording.from_arrays(time, held(q, rows), held(torque, rows))
+    model = bf.Model(bf.Joint.preset("motor-axis"), recording)
+    assert_holds(model, AXIS)
+    assert model.recordings[0].time.size == time.size // rows
+
+
+def test_a_standstill_and_coarse_steps_are_no_held_rows():
+    rng, time = np.random.default_rng(12), np.arange(2000) * 0.01
+    q = 0.02 * np.round(np.sin(0.3 * time) / 0.02)
+    torque = 0.05 * np.round(np.cos(0.3 * time) / 0.05)
+    assert fresh_rows([q, torque]) is None
+    assert fresh_rows([q, rng.standard_normal(q.size)]) is None
+    still = np.where(time > 5.0, held(np.sin(time), 4), 0.0)
+    rows, lasting, hold = fresh_rows([still, 2.0 * still])
+    assert (hold, np.diff(rows).max()) == (4, 4)
+    assert np.array_equal(lasting, (time[rows] > 0.0) & (time[rows] <= 5.0))
+
+
+def test_too_few_outputs_name_what_took_them():
+    time = np.arange(400) * 0.01
+    burst = np.clip(time - 1.8, 0.0, 0.3)
+    recording = bf.Recording.from_arrays(time, burst, np.cos(9.0 * time), rate=None)
+    with pytest.raises(BadInput) as caught:
+        bf.Model(bf.Joint.preset("motor-axis"), recording)
+    assert "dead_zone" in str(caught.value)
+
+
+def test_a_ripple_at_constant_speeds_is_cogging_and_no_fault():
+    """With this noise the torque constant explains it a little better."""
+    recordings, time = [], np.arange(600) * 0.03
+    for k, speed in enumerate((0.9, 1.4, -0.9, -1.4)):
+        q = speed * time + 0.2 * k
+        noise = 0.004 * np.random.default_rng(500 + k).standard_normal(time.size)
+        torque = 0.22 + 0.05 * np.sign(speed) + 7e-4 * speed + 0.0012 * np.sin(3.0 * q) + noise
+        recordings.append(bf.Recording.from_arrays(time, q, torque))
+    (finding, *_) = bf.Model(bf.Joint.preset("motor-axis"), recordings).explain().findings
+    assert finding.hint == "mechanism.elements.motor.cogging = [3]"

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.checks import clipped, feedback, speed_delay, unwrapped
+from bayesfric.recordings.checks import clipped, feedback, speed_mismatch, unwrapped
 from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing, Recording
 from tests.conftest import made_recording
@@ -131,11 +131,11 @@ def test_a_velocity_that_a_drive_filters_is_told_by_its_delay(late):
         for shift in (late, 0.0)
     )
     usable = np.abs(differentiated) > 0.1
-    estimate = speed_delay(0.9 * velocity, differentiated, usable, 0.004)
+    _, estimate = speed_mismatch(0.9 * velocity, differentiated, usable, 0.004)
     assert estimate == pytest.approx(late, abs=0.001)
-    assert speed_delay(0.9 * differentiated, differentiated, usable, 0.004) is None
+    assert speed_mismatch(0.9 * differentiated, differentiated, usable, 0.004)[1] is None
     noise = rng.standard_normal(3000)
-    assert speed_delay(noise, differentiated, usable, 0.004) is None
+    assert speed_mismatch(noise, differentiated, usable, 0.004)[1] is None
 
 
 @settings(deadline=None)
@@ -144,8 +144,8 @@ def test_unwrapping_undoes_what_wrapping_did(seed, largest):
     rng = np.random.default_rng(seed)
     angle = np.cumsum(rng.uniform(-largest, largest, 300))
     wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-    estimate, jumps = unwrapped(wrapped)
+    estimate, _, jumps = unwrapped(wrapped, 2 * np.pi)
     np.testing.assert_allclose(estimate - estimate[0], angle - angle[0], atol=1e-9)
     assert (jumps > 0) == bool((np.abs(np.diff(wrapped)) > np.pi).any())
     # moved by hand while not recording: no turn
-    assert unwrapped(np.repeat([0.0, 4.0], 50))[1] == 0
+    assert unwrapped(np.repeat([0.0, 4.0], 50), 2 * np.pi)[2] == 0

@@ -11,7 +11,7 @@ from bayesfric.fleet.plan import units_of
 from bayesfric.fleet.results import fleet_population
 from bayesfric.report.summary.record import Summary
 
-from .made_summaries import knee, write_draws
+from .made_summaries import knee
 
 COUNT = 12
 WORN = "knee-03"
@@ -36,11 +36,10 @@ def write_fleet(folder):
         place = folder / "units" / unit.name
         place.mkdir(parents=True)
         (place / "summary.json").write_text(json.dumps(run), encoding="utf-8")
-        write_draws(place / "posterior.nc", run)
         if k == 0:
             (place / "report.html").write_text("its page", encoding="utf-8")
         runs[unit.name] = Summary.read(run)
-    population = fleet_population(folder / "units", runs)
+    population = fleet_population(runs)
     page = fleet_page(folder, units, runs, errors, population)
     (folder / "fleet.html").write_text(page, encoding="utf-8")
     return population

@@ -2,9 +2,6 @@
 
 import copy
 
-import h5py
-import numpy as np
-
 from bayesfric.base import __version__
 
 # name: unit, symbol, value, plain sd, sd for correlated residuals
@@ -139,16 +136,6 @@ def failed(summary, *sound):
     for name, row in [*run["derived"].items(), *run["parameters"].items()]:
         row["converged"] = name in sound
     return run
-
-
-def write_draws(path, summary):
-    """Write normal draws of every number, with its mean and sd, as a posterior.nc holds them."""
-    rng = np.random.default_rng(8)
-    with h5py.File(path, "w") as file:
-        for name, row in {**summary["derived"], **summary["parameters"]}.items():
-            middle = row["mean"] if row["median"] is None else row["median"]
-            draws = middle + row["sd"] * rng.standard_normal((40, 50))
-            file.create_dataset(f"posterior/{name}", data=draws)
 
 
 def every_kind():

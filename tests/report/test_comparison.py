@@ -11,12 +11,8 @@ from dataclasses import replace
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.report.comparison.comparison import (
-    comparison,
-    comparison_csv,
-    comparison_dict,
-    comparison_text,
-)
+from bayesfric.report.comparison.comparison import comparison, comparison_dict, comparison_text
+from bayesfric.report.paper.tables import comparison_csv
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.terminal import messages_of
 
@@ -125,7 +121,7 @@ def test_the_sd_is_the_one_for_correlated_residuals(robust):
     run = knee()
     run["estimates"]["least-squares"]["parameters"]["total.inertia"]["sd_robust"] = robust
     shown = cell({"white": run}, "total.inertia", "least-squares")
-    assert (shown.sd, shown.sd_plain, shown.accounts) == (robust or plain, plain, bool(robust))
+    assert (shown.sd, shown.plain) == (robust or plain, not robust)
 
 
 WHITE = {"model": "white", "accounts_for_correlation": False}
@@ -147,7 +143,7 @@ TRIED = [{"order": k, "bic": 4.0 * k} for k in range(3)]
 def test_a_posterior_accounts_for_correlation_where_its_noise_does(noise, accounts):
     run = knee() | {"noise": noise}
     shown = cell({"knee": run}, "motor.inertia")
-    assert (shown.accounts, shown.sd_plain is None) == (accounts, accounts)
+    assert shown.plain != accounts
     assert result_rows(run)["motor.inertia"] == replace(shown, disagreement=None)
 
 
@@ -218,11 +214,11 @@ def test_open_numbers_have_no_sd_no_interval_and_are_printed_nowhere():
     for runs in ({"a": run}, {"a": run, "b": loaded()}):
         compared = comparison(runs, estimates=True)
         cells = [(row.name, c) for row in compared.rows for c in row.cells.values()]
-        left = [(name, c) for name, c in cells if c.status == "undetermined"]
+        left = [(name, c) for name, c in cells if c.status == "unidentified"]
         assert {name for name, _ in left} == set(LEG)
         for _, shown in left:
-            numbers = shown.sd, shown.sd_plain, shown.interval, shown.level, shown.disagreement
-            assert numbers == (None,) * 5
+            numbers = shown.sd, shown.interval, shown.limit, shown.disagreement
+            assert numbers == (None,) * 4
             assert shown.remark.startswith("not determined")
         views = ["\n".join(comparison_text(compared)), comparison_csv(compared)]
         for text in (*views, json.dumps(comparison_dict(compared))):
@@ -238,7 +234,7 @@ def test_an_estimate_that_did_not_converge_is_open_in_its_own_column_only():
     for name in (*TOTALS, *DERIVED, *MOTOR, *LEG):
         cells = dict(lost[name].cells)
         shown = cells.pop("output-error")
-        assert (shown.status, shown.converged) == ("undetermined", False)
+        assert (shown.status, shown.converged) == ("unidentified", False)
         assert shown.remark == "the search has not converged"
         assert cells == {k: c for k, c in sound[name].cells.items() if k != "output-error"}
 
@@ -278,13 +274,11 @@ def test_csv_and_json_hold_the_same():
     limit = {"at_bound": "lower", "bound": 0.0, "data_sd": 1e-3, "prior_sd": 1.0}
     run["parameters"]["load.inertia"] |= doubted | limit
     compared = comparison({"a": knee(), "b": run}, estimates=True)
-    record = json.loads(json.dumps(comparison_dict(compared), allow_nan=False))
+    record = json.loads(json.dumps(comparison_dict(compared), allow_nan=False))["rows"]
     rows = list(csv.DictReader(io.StringIO(comparison_csv(compared))))
-    assert len(rows) == sum(len(row.cells) for row in compared.rows)
-    for row in rows:
-        stored = record["quantities"][row["name"]]["columns"][row["column"]]
-        status = "doubtful" if stored["doubted"] else stored["status"]
-        assert (float(row["value"]), row["status"]) == (stored["value"], status)
+    assert len(rows) == len(compared.cells)
+    for row, stored in zip(rows, record, strict=True):
+        assert (float(row["value"]), row["status"]) == (stored["value"], stored["status"])
         assert row["sd"] == ("" if stored["sd"] is None else str(stored["sd"]))
     doubtful = {row["name"] for row in rows if row["status"] == "doubtful"}
     assert doubtful == {"motor.inertia", "load.inertia"}
@@ -334,7 +328,7 @@ def test_runs_that_cannot_be_compared():
     estimates = [e["parameters"]["total.coulomb"] for e in other["estimates"].values()]
     for row in (other["derived"]["total.coulomb"], *estimates):
         row["unit"] = "N"
-    refused({"a": knee(), "b": other}, "b: total.coulomb", "'N'", "'N m'", "in a")
+    refused({"a": knee(), "b": other}, "b: total.coulomb", "'N'", "'N m'")
     # shared, but not shown
     total = {"parameters": {"total.x": estimated("N", "x", 1.0, 0.1, 0.1, "total")}}
     other = {"parameters": {"axis.coulomb": posterior_row("N", 3.0, 0.1, data_sd=0.1)}}

@@ -30,10 +30,10 @@ def determined(fit, **changes):
 def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
     summary = determined(knee)
     at = panels(corner_figure(knee, summary))
-    for i, quantity in enumerate(posterior.quantities(knee, summary)[:8]):
+    for i, (_, _, prior) in enumerate(posterior.choice(knee, summary)[:8]):
         x, y = by_gid(at[i, i], "prior").get_data()
         some = slice(5, None, 40)
-        expected = np.exp(quantity.prior.log_density(x[some]))
+        expected = np.exp(prior.log_density(x[some]))
         np.testing.assert_allclose(y[some], expected, rtol=1e-12)
         assert (expected > 0).any()
         heights, edges, _ = by_gid(at[i, i], "posterior").get_data()
@@ -47,15 +47,15 @@ def test_what_is_open_has_neither_density_nor_interval(knee):
         row.pop("reported", None)
     summary = Summary.read(summary)
     at = panels(corner_figure(knee, summary))
-    status = [q.row.status for q in posterior.choice(knee, summary)[:8]]
-    assert {*status} >= {"undetermined", "determined"}
+    status = [row.status for row, *_ in posterior.choice(knee, summary)[:8]]
+    assert {*status} >= {"unidentified", "identified"}
     for k, of in enumerate(status):
         gids = [artist.get_gid() for artist in at[k, k].get_children()]
-        assert ("posterior" in gids, "open" in gids) == (of != "undetermined", of == "undetermined")
-        assert gids.count("interval") == {"undetermined": 0, "limit": 1}.get(of, 2)
+        assert ("posterior" in gids, "open" in gids) == (of != "unidentified", of == "unidentified")
+        assert gids.count("interval") == {"unidentified": 0, "limit": 1}.get(of, 2)
         for j in range(k):
             filled = [c for c in at[k, j].collections if getattr(c, "filled", False)]
-            assert any(c.get_visible() for c in filled) == ("undetermined" not in (of, status[j]))
+            assert any(c.get_visible() for c in filled) == ("unidentified" not in (of, status[j]))
     # nor has anything of ensembles that disagree
     at = panels(corner_figure(knee, Summary.read(failed(summarise(knee).as_dict()))))
     assert not [a for ax in at.diagonal() for a in ax.get_children() if a.get_gid() == "posterior"]
@@ -73,7 +73,7 @@ def test_contours_hold_the_stated_mass(make_fit):
     fit = make_fit(spread=1e-2)
     summary = determined(fit)
     axes = panels(corner_figure(fit, summary))[1, 0]
-    first, second = (q.draws for q in posterior.quantities(fit, summary)[:2])
+    first, second = (draws for _, draws, _ in posterior.choice(fit, summary)[:2])
     points = np.stack([first, second], axis=1)
     lines = [a for a in axes.collections if not getattr(a, "filled", True)]
     shares = []

@@ -38,7 +38,7 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
         wrong.summary, replace(wrong.fit, widened_draws=held), groups(wrong.fit)
     ).parameters[NAME]
     assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
-    assert result_rows(wrong.summary)[NAME].status == "determined"
+    assert result_rows(wrong.summary)[NAME].limit is None
     widened = wrong.summary.with_rows({NAME: dict(row)})
     assert result_rows(widened)[NAME].limit == row.model_error_interval[1]
 

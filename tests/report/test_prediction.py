@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.report.figures.prediction import binned, prediction_figure, predictive, residuals
+from bayesfric.report.figures.prediction import binned_residuals, prediction_figure, predictive
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import NOISE, by_gid
@@ -75,12 +75,13 @@ def disturbed(fit, change):
 )
 def test_what_the_model_lacks_shows_where_it_acts(knee, name, change):
     """White noise of 90 outputs a bin has means within 4/sqrt(90) sds; what is missing does not."""
-    with_it, without = (binned(residuals(fit), name) for fit in (disturbed(knee, change), knee))
-    few = 4.0 * NOISE / np.sqrt(knee.residuals[0].size / len(without))
-    assert (without["mean"].abs() < few).all()
-    assert (with_it["mean"].abs() > few).any()
+    with_it, without = (binned_residuals(fit)[name] for fit in (disturbed(knee, change), knee))
+    _, mean, low, high = without
+    few = 4.0 * NOISE / np.sqrt(knee.residuals[0].size / mean.size)
+    assert (abs(mean) < few).all()
+    assert (abs(with_it[1]) > few).any()
     # 90 % of a normal lie within 1.645 sds
-    assert (without["high"] - without["low"]).mean() == pytest.approx(3.29 * NOISE, rel=0.1)
+    assert (high - low).mean() == pytest.approx(3.29 * NOISE, rel=0.1)
 
 
 def test_lag_1_is_about_zero_and_of_all_recordings(many):

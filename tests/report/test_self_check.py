@@ -117,5 +117,5 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     fine = finer(printed.value, *printed.interval, printed.sd)
     assert cells[3] == TEXT.interval(*printed.interval, fine)
     for medium in (TEXT, HTML, LATEX):
-        assert medium.interval(*printed.interval, fine) in line.shown(medium)[1]
+        assert medium.interval(*printed.interval, fine) in line.texts(medium)[1]
     assert ("doubtful" in terminal) == doubted

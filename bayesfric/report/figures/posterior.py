@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import Array, Look
@@ -23,41 +23,14 @@ from bayesfric.report.summary.record import Summary, of_noise
 # Share of the draws inside the contours.
 MASSES = (0.5, 0.9)
 _OPEN: Look = {
-    "facecolor": "none", "edgecolor": style.POSTERIOR, "linewidth": 0.0, "hatch": style.OPEN_HATCH,
+    "facecolor": "none", "edgecolor": style.POSTERIOR, "hatch": style.OPEN_HATCH,
     "label": "posterior that the data leave open", "gid": "open",
 }  # fmt: skip
 _KNOWN: Look = {
-    "facecolor": style.POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3,
-    "label": "posterior", "gid": "posterior",
+    "facecolor": style.POSTERIOR, "alpha": 0.3, "label": "posterior", "gid": "posterior",
 }  # fmt: skip
-_PRIOR: Look = {
-    "color": style.PRIOR,
-    "linestyle": style.DASHED,
-    "label": "prior",
-    "gid": "prior",
-    "zorder": 3,
-}
-_END: Look = {
-    "color": style.POSTERIOR, "linewidth": 0.7, "linestyle": style.DOTTED,
-    "label": f"{100 * LEVEL:.0f} % interval", "gid": "interval",
-}  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """A sampled parameter, or a combination of them, with its draws ``(n,)``."""
-
-    row: ResultRow
-    draws: Array
-    prior: Prior | None  # `None` of a combination
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Give an axis nearly all draws and some margin, nothing beyond the prior's support."""
-        low, high = (float(v) for v in np.quantile(self.draws, [0.001, 0.999]))
-        margin = 0.06 * (high - low)
-        lower, upper = (self.prior.lower, self.prior.upper) if self.prior else (-np.inf, np.inf)
-        return max(low - margin, min(lower, low)), min(high + margin, max(upper, high))
+# A parameter, or a combination of them without a prior, with its draws `(n,)`.
+Shown = tuple[ResultRow, Array, Prior | None]
 
 
 def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | None:
@@ -69,42 +42,40 @@ def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | No
     import corner  # brings ArviZ along, which takes a second or more
 
     # what never moved has no histogram
-    moved = [q for q in choice(fit.wide, summary) if np.ptp(q.draws) > 1e-12 * abs(q.draws).max()]
+    moved = [x for x in choice(fit.wide, summary) if np.ptp(x[1]) > 1e-12 * abs(x[1]).max()]
     if not (shown := moved[:max_count]):
         return None
-    ranges = [quantity.limits for quantity in shown]
-    exponents = [style.power_of_ten(*np.quantile(q.draws, [0.05, 0.95]).tolist()) for q in shown]
-    # on two lines: a panel is hardly wider than a unit
-    labels = [
-        f"{style.mathtext(q.row.symbol, q.row.name)}\n({style.scaled_unit(exponent, q.row.unit)})"
-        for q, exponent in zip(shown, exponents, strict=True)
-    ]
+    number, is_open = len(shown), [row.status == "unidentified" for row, *_ in shown]
     with style.paper_style():
         figure = Figure(figsize=(style.PAGE, style.PAGE))
         corner.corner(
-            np.stack([quantity.draws for quantity in shown], axis=1),
-            fig=figure, range=ranges, bins=40, color=style.POSTERIOR, labels=labels,
-            label_kwargs={"fontsize": style.SMALL, "linespacing": 1.3},
+            np.stack([draws for _, draws, _ in shown], axis=1),
+            fig=figure, range=[_limits(*x[1:]) for x in shown], bins=40, color=style.POSTERIOR,
+            # on two lines: a panel is hardly wider than a unit
+            labels=[style.axis_label(r.symbol, r.name, r.unit, "\n") for r, *_ in shown],
+            label_kwargs={"fontsize": style.SMALL, "linespacing": 1.3}, use_math_text=True,
             # in bins: closed contours from some thousand draws, hardly wider
             smooth=1.2, levels=MASSES, fill_contours=True, plot_datapoints=False,
             plot_density=False, contour_kwargs={"linewidths": (0.6, 0.9)},
             hist_kwargs={"density": True, "linewidth": 0.8}, quiet=True,
         )  # fmt: skip
         figure.subplots_adjust(0.1, 0.12, 0.99, 0.99, wspace=0.08, hspace=0.08)
-        away = -0.057 * len(shown)  # of labels, in heights of a panel
-        axes = np.array(figure.axes).reshape(len(shown), len(shown))
+        away = -0.057 * number  # of labels, in heights of a panel
+        axes = np.array(figure.axes).reshape(number, number)
         for k, quantity in enumerate(shown):
-            _marginal(axes[k, k], quantity)
-            style.few_ticks(axes[-1, k].xaxis, 3, inner=True, exponent=exponents[k])
+            _marginal(axes[k, k], *quantity)
+            style.few_ticks(axes[-1, k].xaxis, 3, inner=True)
             # upright: neighbours leave a number no room
             axes[-1, k].tick_params(axis="x", labelrotation=90)
             axes[-1, k].xaxis.set_label_coords(0.5, away)
+            _power_in_label(axes[-1, k].xaxis)
             if k:
-                style.few_ticks(axes[k, 0].yaxis, 3, inner=True, exponent=exponents[k])
+                style.few_ticks(axes[k, 0].yaxis, 3, inner=True)
                 axes[k, 0].tick_params(axis="y", labelrotation=0)
                 axes[k, 0].yaxis.set_label_coords(away, 0.5)
+                _power_in_label(axes[k, 0].yaxis)
             for other in range(k):
-                if _is_open(quantity) or _is_open(shown[other]):
+                if is_open[k] or is_open[other]:
                     for contours in axes[k, other].collections:
                         contours.set_visible(not getattr(contours, "filled", False))
         # in the empty upper triangle
@@ -115,69 +86,55 @@ def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | No
     return figure
 
 
-def _is_open(quantity: Shown) -> bool:
-    return quantity.row.status == "undetermined"
+def _power_in_label(axis: Axis) -> None:
+    """Write the numbers' power of ten before the unit: at the axis' end is another panel."""
+    formatter = axis.get_major_formatter()
+    formatter.set_locs(axis.get_majorticklocs())  # type: ignore[arg-type]
+    symbol, _, unit = axis.get_label_text().rpartition("(")
+    axis.set_label_text(f"{symbol}({f'{formatter.get_offset()} {unit}'.lstrip()}")
+    axis.get_offset_text().set_visible(False)
 
 
 def choice(fit: Fit, summary: Summary) -> list[Shown]:
     """Order what to show: what the data determine before what they leave open."""
-    sampled = quantities(fit, summary)
-    groups: dict[str, list[Shown]] = {"known": [], "open": [], "noise": []}
-    for quantity in sampled:
-        group = "open" if _is_open(quantity) else "known"
-        groups["noise" if of_noise(quantity.row.name) else group].append(quantity)
-    if not groups["open"]:
-        return sampled
-    combined = [q for q in combinations(fit, summary) if q.row.status == "determined"]
-    # parameters want to be seen, too
-    return [*combined[:5], *groups["known"], *groups["open"], *groups["noise"]]
-
-
-def _marginal(ax: Axes, quantity: Shown) -> None:
-    """Fill a posterior density and draw the prior over it."""
-    low, high = quantity.limits
-    density, edges = np.histogram(quantity.draws, 40, (low, high), density=True)
-    ax.stairs(density, edges, fill=True, **(_OPEN if _is_open(quantity) else _KNOWN))
-    highest = peak = float(density.max())
-    if quantity.prior is not None:
-        grid = np.linspace(low, high, 301)
-        prior = np.exp(quantity.prior.log_density(grid))
-        prior = np.where(np.isfinite(prior), prior, np.nan)
-        ax.plot(grid, prior, **_PRIOR)
-        # a prior may have a pole at its bound; it must not flatten the posterior
-        highest = max(peak, min(2.0 * peak, float(np.nanmax(prior, initial=0.0))))
-    # those of the tables, to the digit; of a limit the end away from the bound
-    row = quantity.row
-    for end in [row.limit] if row.limit is not None else row.interval or ():
-        ax.axvline(end, ymax=0.8, **_END)
-    ax.set(xlim=(low, high), ylim=(0.0, 1.12 * highest))
-
-
-def quantities(fit: Fit, summary: Summary) -> list[Shown]:
-    """List the sampled parameters of a fit, noise scales last."""
     posterior, rows = fit.posterior, result_rows(summary)
     columns = zip(posterior.names, posterior.flat().T, posterior.priors, strict=True)
-    return [Shown(rows[name], draws, prior) for name, draws, prior in columns]
-
-
-def combinations(fit: Fit, summary: Summary) -> list[Shown]:
-    """List what no scaling of leg parameters and alpha changes, where every draw has it."""
-    rows = result_rows(summary)
-    return [
-        Shown(rows[q.name], q.values, None)
+    sampled: list[Shown] = [(rows[name], draws, prior) for name, draws, prior in columns]
+    if not any(row.status == "unidentified" for row, *_ in sampled if not of_noise(row.name)):
+        return sampled
+    # what no scaling of the leg and alpha changes, where every draw has it; but first parameters
+    combined: list[Shown] = [
+        (rows[q.name], q.values, None)
         for q in coefficients(fit).quantities
-        # those of fixed parameters only have no posterior
         if q.gauge_free and q.name in summary.derived and np.isfinite(q.values).all()
     ]
+    combined = [x for x in combined if x[0].sd is not None]
+    sampled.sort(key=lambda x: (of_noise(x[0].name), x[0].status == "unidentified"))
+    return [*combined[:5], *sampled]
 
 
-_DOTS: Look = {
-    "linestyle": "none", "marker": ".", "markersize": 2.2, "color": style.POSTERIOR, "alpha": 0.25,
-}  # fmt: skip
-_MARKER: Look = {
-    "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": style.PALETTE[0],
-    "markeredgewidth": 0.9,
-}  # fmt: skip
+def _limits(draws: Array, prior: Prior | None) -> tuple[float, float]:
+    """Give an axis nearly all draws and some margin, nothing beyond the prior's support."""
+    low, high = (float(v) for v in np.quantile(draws, [0.001, 0.999]))
+    margin = 0.06 * (high - low)
+    lower, upper = (prior.lower, prior.upper) if prior else (-np.inf, np.inf)
+    return max(low - margin, min(lower, low)), min(high + margin, max(upper, high))
+
+
+def _marginal(ax: Axes, row: ResultRow, draws: Array, prior: Prior | None) -> None:
+    """Fill a posterior density and draw the prior over it."""
+    low, high = _limits(draws, prior)
+    density, edges = np.histogram(draws, 40, (low, high), density=True)
+    look = _OPEN if row.status == "unidentified" else _KNOWN
+    ax.stairs(density, edges, fill=True, linewidth=0.0, **look)
+    if prior is not None:
+        grid = np.linspace(low, high, 301)
+        line: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "gid": "prior"}
+        ax.plot(grid, np.exp(prior.log_density(grid)), label="prior", zorder=3, **line)
+    for end in [row.limit] if row.limit is not None else row.interval or ():
+        line = {"color": style.POSTERIOR, "linewidth": 0.7, "linestyle": style.DOTTED}
+        ax.axvline(end, ymax=0.8, label=f"{100 * LEVEL:.0f} % interval", gid="interval", **line)
+    ax.set(xlim=(low, high), ylim=(0.0, 1.12 * density.max()))
 
 
 def ridge(fit: Fit) -> tuple[Scaling, tuple[float, float], Array] | None:
@@ -206,42 +163,35 @@ def ridge_figure(fit: Fit) -> Figure | None:
     if (known := ridge(fit)) is None:
         return None
     scaling, bounds, along = known
-    element = scaling.element
-    # those of the load come last, and are of most interest
-    names = [*scaling.behind[:-3:-1], f"{element}.alpha_back"]
+
+    def values(parameters: Array) -> dict[str, tuple[str, Array]]:
+        """Give label and values of parameters and derived quantities."""
+        table: list[tuple[Any, Array]] = [*zip(fit.chain.parameters, parameters.T, strict=True)]
+        table += [(q, q.values) for q in derive(fit.chain, parameters, 0.0)]
+        return {q.name: (style.axis_label(q.symbol, q.name, q.unit), x) for q, x in table}
+
     with np.errstate(divide="ignore", invalid="ignore"):  # an irreversible gearbox has no alpha_2
-        draws, line = (_values(fit.chain, v) for v in (fit.chain_draws(1500), along))
-    ends = [
-        (k, marker, rf"end $\alpha_{i} = 1$, $k = 1/\alpha_{i} = {factor:.2f}$")
-        for k, marker, i, factor in zip((0, -1), "s^", (2, 1), bounds, strict=True)
-        if factor > 0.0
-    ]
+        draws, line = values(fit.chain_draws(1500)), values(along)
+    # those of the load come last, and are of most interest
+    names = [*scaling.behind[:-3:-1], f"{scaling.element}.alpha_back"]
+    along_x = f"{scaling.element}.alpha_drive"
     with style.paper_figure(style.PAGE, 2.7) as figure:
         for ax, name in zip(style.panel_grid(figure, len(names), len(names)), names, strict=True):
-            pair = (f"{element}.alpha_drive", name)
-            for quantity, axis in zip(pair, (ax.xaxis, ax.yaxis), strict=True):
-                symbol, unit, _ = draws[quantity]
-                both = np.concatenate([values[quantity][2] for values in (draws, line)])
-                exponent = style.power_of_ten(float(np.nanmin(both)), float(np.nanmax(both)))
-                axis.set_label_text(style.axis_label(symbol, quantity, exponent, unit))
-                style.few_ticks(axis, 5, exponent=exponent)
-            (x, y), (x_line, y_line) = ([q[key][2] for key in pair] for q in (draws, line))
-            ax.plot(x, y, gid="posterior", markeredgewidth=0.0, rasterized=True, **_DOTS)
-            ax.plot(x_line, y_line, color=style.PALETTE[0], gid="line")
-            for k, marker, _ in ends:
-                ax.plot(x_line[k], y_line[k], marker=marker, markersize=5.0, **_MARKER)
-        dots = Line2D([], [], **_DOTS | {"markersize": 4.0, "alpha": 1.0}, label="posterior")
-        words = "same torque, without added mass"
-        markers = [
-            Line2D([], [], marker=marker, markersize=4.5, label=label, **_MARKER)
-            for _, marker, label in ends
-        ]
-        drawn = Line2D([], [], color=style.PALETTE[0], label=words)
-        style.legend_above(figure, [dots, drawn, *markers])
+            dots: Look = {"marker": ".", "markersize": 2.2, "markeredgewidth": 0.0, "alpha": 0.25}
+            dots |= {"linestyle": "none", "color": style.POSTERIOR, "rasterized": True}
+            ax.plot(draws[along_x][1], draws[name][1], gid="posterior", **dots)
+            ax.plot([], [], ".", color=style.POSTERIOR, label="posterior")
+            x, y = line[along_x][1], line[name][1]
+            label = "same torque, without added mass"
+            ax.plot(x, y, color=style.PALETTE[0], label=label, gid="line")
+            for k, marker, i, factor in zip((0, -1), "s^", (2, 1), bounds, strict=True):
+                if factor > 0.0:
+                    label = rf"end $\alpha_{i} = 1$, $k = 1/\alpha_{i} = {factor:.2f}$"
+                    look: Look = {"marker": marker, "markerfacecolor": "white", "markersize": 5.0}
+                    look |= {"markeredgecolor": style.PALETTE[0], "linestyle": "none"}
+                    ax.plot(x[k], y[k], label=label, **look)
+            ax.set(xlabel=draws[along_x][0], ylabel=draws[name][0])
+            style.few_ticks(ax.xaxis, 5)
+            style.few_ticks(ax.yaxis, 5)
+        style.legend_above(figure)
     return figure
-
-
-def _values(chain: Joint, values: Array) -> dict[str, tuple[str, str, Array]]:
-    """Give symbol, unit and values of parameters and derived quantities."""
-    parameters = {p.name: (p.symbol, p.unit, values[:, k]) for k, p in enumerate(chain.parameters)}
-    return parameters | {q.name: (q.symbol, q.unit, q.values) for q in derive(chain, values, 0.0)}

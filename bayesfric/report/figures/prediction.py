@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,23 +11,14 @@ from scipy.ndimage import binary_dilation
 from scipy.special import ndtri
 
 from bayesfric.estimates.torque import load_at_outputs
-from bayesfric.identifiability.friction_curve import (
-    FEWEST,
-    NEAR,
-    Curve,
-    friction_curves,
-    has_open_scale,
-)
+from bayesfric.identifiability.friction_curve import FEWEST, Curve, friction_curves
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood import Outputs
 from bayesfric.recordings.signals import Signals
 from bayesfric.report.figures import style
-from bayesfric.report.figures.style import Array, Look, few_ticks
+from bayesfric.report.figures.style import Array, Look
 from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.results.roll_out import RollOut
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Recordings that a figure has room for.
 MOST = 3
@@ -133,63 +122,56 @@ def _broken(o: Outputs, *values: Array) -> list[Array]:
 
 def residual_figure(fit: Fit) -> Figure | None:
     """Draw residuals against speed, load and angle, as far as they vary, a page wide."""
-    table, outputs = residuals(fit), fit.target.likelihood.outputs
     rotary = fit.chain.load.motion == "rotary"
     labels = {
         "speed": rf"joint speed $\dot q$ ({'rad/s' if rotary else 'm/s'})",
         "load": rf"load $\Gamma$ ({'N m' if rotary else 'N'})",
         "position": "joint angle $q$ (rad)" if rotary else "position $q$ (m)",
     }
-    bins = {key: binned(table, key) for key in labels if np.ptp(table[key]) > 0.0}
-    if not bins:
+    if not (bins := binned_residuals(fit)):
         return None
-    reach = max(float(np.abs(of[["low", "high"]].to_numpy()).max()) for of in bins.values())
-    exponent = style.power_of_ten(-reach, reach)
     with style.paper_figure(style.PAGE, 2.1) as figure:
         axes = figure.subplots(1, len(bins), sharey=True, squeeze=False)[0]
-        for ax, (key, of) in zip(axes, bins.items(), strict=True):
+        for ax, (key, (place, mean, low, high)) in zip(axes, bins.items(), strict=True):
             ax.axhline(0.0, color="0.6", linewidth=0.5)
             label = f"{100 * LEVEL:.0f} % of the residuals"
-            ax.fill_between(of[key], of["low"], of["high"], label=label, **_BAND)
+            ax.fill_between(place, low, high, label=label, **_BAND)
             look: Look = {"color": style.PALETTE[0], "marker": "o", "markersize": 2.4}
-            ax.plot(of[key], of["mean"], label="their mean", **look)
+            ax.plot(place, mean, label="their mean", **look)
             ax.set_xlabel(labels[key])
             style.few_ticks(ax.xaxis, 5)
-        style.few_ticks(axes[0].yaxis, 5, exponent=exponent)
-        axes[0].set_ylabel(f"residual ({style.scaled_unit(exponent, outputs[0].unit)})")
+        style.few_ticks(axes[0].yaxis, 5)
+        axes[0].set_ylabel(f"residual ({fit.target.likelihood.outputs[0].unit})")
         style.legend_above(figure)
     return figure
 
 
-def residuals(fit: Fit) -> pd.DataFrame:
-    """Give the residual of every output at the posterior mean, with speed, load and position."""
-    import pandas as pd  # slow to import
+def binned_residuals(fit: Fit, max_count: int = 16) -> dict[str, Array]:
+    """Bin residuals by speed, load and position, as far as these vary.
 
+    Of bins of equally many outputs, five at least, the place, mean, and ends of the central 90 %,
+    ``(4, n)``.
+    """
     median = fit.target.chain_values(fit.posterior.median[None])[0]
-    parts = []
-    for o, observation, left in zip(
-        fit.target.likelihood.outputs, fit.observations, fit.residuals, strict=True
-    ):
-        motion = {
-            "speed": observation.speed,
-            "load": load_at_outputs(fit.chain, observation, median),
-            "position": observation.q[observation.filter.centres],
-        }
+    motion: dict[str, list[Array]] = {"speed": [], "load": [], "position": []}
+    for o, observation in zip(fit.target.likelihood.outputs, fit.observations, strict=True):
+        load = load_at_outputs(fit.chain, observation, median)
+        position = observation.q[observation.filter.centres]
         # outputs of a simulation are at other times than those of the filter
-        there = {key: np.interp(o.time, observation.time, x) for key, x in motion.items()}
-        parts.append(pd.DataFrame({"residual": left} | there))
-    return pd.concat(parts, ignore_index=True)
-
-
-def binned(table: pd.DataFrame, by: str, max_count: int = 16) -> pd.DataFrame:
-    """Give mean and central 90 % of residuals in bins of equally many outputs, five at least."""
-    count = max(1, min(max_count, len(table) // 5))
-    place = table[by].rank(method="first").sub(1.0) * count // len(table)
-    residual = (bins := table.groupby(place))["residual"]
-    ends = {
-        key: residual.quantile(0.5 + x) for key, x in {"low": -LEVEL / 2, "high": LEVEL / 2}.items()
-    }
-    return bins[[by]].mean().assign(mean=residual.mean(), **ends)
+        for of, x in zip(motion.values(), (observation.speed, load, position), strict=True):
+            of.append(np.interp(o.time, observation.time, x))
+    residual, bins = np.concatenate(fit.residuals), {}
+    count = max(1, min(max_count, residual.size // 5))
+    levels = [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]
+    for key, parts in motion.items():
+        x = np.concatenate(parts)
+        if np.ptp(x) > 0.0:
+            rows = []
+            for place in np.array_split(np.argsort(x, kind="stable"), count):
+                part = residual[place]
+                rows.append([x[place].mean(), part.mean(), *np.quantile(part, levels)])
+            bins[key] = np.array(rows).T
+    return bins
 
 
 def rollout_figure(rollout: RollOut) -> Figure:
@@ -249,8 +231,8 @@ def friction_figure(fit: Fit) -> Figure:
             _draw(ax, curve, colour, label)
         ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
         ax.set(xlabel=rf"motor speed $\dot q_m$ ({per})", ylabel=f"friction {kind} $F$ ({unit})")
-        few_ticks(ax.xaxis, 6)
-        few_ticks(ax.yaxis, 6)
+        style.few_ticks(ax.xaxis, 6)
+        style.few_ticks(ax.yaxis, 6)
         if len(curves) > 1:
             ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
         drawn = {artist.get_gid() for artist in ax.get_children()}
@@ -278,26 +260,3 @@ def _area(colour: str, is_open: bool) -> Look:
         hatch = {"hatch": style.OPEN_HATCH, "linewidth": 0.4, "gid": "open"}
         return {"facecolor": "none", "edgecolor": colour} | hatch
     return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0, "gid": "band"}
-
-
-def friction_caption(fit: Fit) -> str:
-    """Say what load means in the figure, which depends on what the run can determine."""
-    caption = (
-        "Friction of the whole joint at the motor, at constant speed: posterior median and "
-        f"{100 * LEVEL:.0f} % band, hatched where the data do not determine it. Dashed where fewer "
-        f"than {FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
-    )
-    load = "the torque at the joint over the ratio, positive against the motion."
-    if has_open_scale(fit):
-        load = (
-            "the mean of its torque at the motor while driving and while driven: the scale "
-            "between load and gearbox is open, and only this mean is the same for all parameters "
-            "that make the same torque."
-        )
-    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    caption += (
-        f" and, at once, of load. Load is {load}" if lossy else ". No friction depends on load."
-    )
-    if fit.chain.gain:
-        caption += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
-    return caption

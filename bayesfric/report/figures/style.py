@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.mathtext import MathTextParser
-from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -60,6 +59,10 @@ _STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.5,
     "axes.labelpad": 2.0,
     "axes.unicode_minus": True,
+    # one power of ten at the axis' end
+    "axes.formatter.limits": (-2, 4),
+    "axes.formatter.use_mathtext": True,
+    "axes.formatter.useoffset": False,
     **{f"{axis}tick.{key}": value for axis in "xy" for key, value in _TICKS.items()},
     "legend.fontsize": SMALL,
     "legend.frameon": False,
@@ -112,26 +115,9 @@ def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KIN
             (folder / f"{stem}.{kind}").write_bytes(drawn.getvalue())
 
 
-def power_of_ten(low: float, high: float) -> int:
-    """Power of ten to take out of the numbers of an axis from ``low`` to ``high``."""
-    largest = max(abs(low), abs(high))
-    if largest == 0.0 or not math.isfinite(largest) or 0.1 <= largest < 1000.0:
-        return 0
-    # 0.03 is as easily read as 3, but 0.0302 is not
-    if 0.01 <= largest < 0.1 and high - low >= 0.002:
-        return 0
-    return math.floor(math.log10(largest))
-
-
-def scaled_unit(exponent: int, unit: str) -> str:
-    """Write the unit of an axis with its power of ten; a dash where there is neither."""
-    power = f"10$^{{{exponent}}}$" if exponent else ""
-    return " ".join(part for part in (power, unit) if part) or "–"
-
-
-def axis_label(symbol: str, name: str, exponent: int, unit: str) -> str:
+def axis_label(symbol: str, name: str, unit: str, between: str = " ") -> str:
     """Write symbol and unit for an axis; the name where there is no LaTeX symbol."""
-    return f"{mathtext(symbol, name)} ({scaled_unit(exponent, unit)})"
+    return f"{mathtext(symbol, name)}{between}({unit or '–'})"
 
 
 @cache
@@ -214,15 +200,7 @@ def remark_below(figure: Figure, words: str) -> None:
     figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
-def few_ticks(axis: Axis, max_count: int, *, inner: bool = False, exponent: int = 0) -> None:
-    """Put at most ``max_count`` plain numbers on an axis, over the power of ten in the axis' label.
-
-    ``inner`` ones are away from the ends, for panels that touch.
-    """
+def few_ticks(axis: Axis, max_count: int, *, inner: bool = False) -> None:
+    """Put at most ``max_count`` numbers on an axis, away from its ends for panels that touch."""
     prune = "both" if inner else None
     axis.set_major_locator(MaxNLocator(max_count, steps=[1, 2, 5, 10], min_n_ticks=2, prune=prune))
-    formatter = ScalarFormatter(useOffset=False)
-    formatter.set_scientific(bool(exponent))
-    formatter.set_powerlimits((exponent, exponent))
-    axis.set_major_formatter(formatter)
-    axis.get_offset_text().set_visible(False)

@@ -10,7 +10,7 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -18,7 +18,7 @@ from html import unescape
 from importlib.resources import files
 from itertools import combinations
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 from urllib.parse import quote
 
 from jinja2 import Environment
@@ -28,19 +28,12 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
 from bayesfric.base.templates import environment
 from bayesfric.recordings.checks import too_slow
-from bayesfric.report.comparison.between_runs import SharedQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
-from bayesfric.report.figures.registry import (
-    FOREST,
-    ROLL_OUT,
-    RUN_FIGURES,
-    Declared,
-    Section,
-    read_captions,
-)
+from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, captions
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
-from bayesfric.report.paper.tables import parameter_notes, parameter_table
+from bayesfric.report.paper.tables import parameter_notes
+from bayesfric.report.result_row import GROUPS, table_rows
 from bayesfric.report.summary.parts import friction_cells
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.terminal import brief, messages_of
@@ -107,7 +100,6 @@ class PageFigure:
     stem: str
     title: str
     caption: str
-    alt: str  # text for who cannot see it
     source: str
     width: float
     height: float
@@ -118,11 +110,8 @@ class PageFigure:
         return self.width > 300.0
 
 
-def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str = "") -> PageFigure:
-    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none.
-
-    The text for who cannot see it is its caption by default: the numbers are in the page's tables.
-    """
+def page_figure(folder: Path, stem: str, title: str, caption: str) -> PageFigure:
+    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none."""
     text = read_text(folder / "figures" / f"{stem}.svg")
     if (size := re.search(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"', text)) is None:
         raise ValueError(f"{stem}.svg is no SVG with a view box")
@@ -131,21 +120,19 @@ def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str = ""
         r'\b[dxy]="[^"]*"', lambda match: re.sub(r"(?<=\.\d\d)\d+", "", match[0]), text
     ).replace("\n", " ")
     source = "data:image/svg+xml," + quote(text, safe=" :/;=,().-")
-    alt = alt or f"{title}. {caption}".strip()
-    return PageFigure(stem, title, caption, alt, source, float(size[1]), float(size[2]))
+    return PageFigure(stem, title, caption, source, float(size[1]), float(size[2]))
 
 
 def page_figures(
-    folder: Path, figures: Iterable[Declared], captions: Mapping[str, str]
+    folder: Path, words: Mapping[str, str] | None = None
 ) -> dict[str, list[PageFigure]]:
-    """Read the figures that the folder has, by section; ``captions`` replace those declared."""
-    sections: dict[str, list[PageFigure]] = {section: [] for section in get_args(Section)}
-    for declared in figures:
-        caption = declared.caption if isinstance(declared.caption, str) else ""
-        caption = captions.get(declared.stem, caption)
+    """Read the figures that the folder has, by section; ``words`` are captions of a run's."""
+    sections: dict[str, list[PageFigure]] = {}
+    for declared in (*RUN_FIGURES.values(), ROLL_OUT, FOREST):
+        figures = sections.setdefault(declared.section, [])
+        caption = (words or {}).get(declared.stem, declared.caption)
         with suppress(BadInput, ValueError):
-            figure = page_figure(folder, declared.stem, declared.title, caption)
-            sections[declared.section].append(figure)
+            figures.append(page_figure(folder, declared.stem, declared.title, caption))
     return sections
 
 
@@ -156,10 +143,9 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     ``folder``; what is missing is left out.
     """
     read = Summary.read(summary, name)
-    table = parameter_table(read, name)
+    rows = table_rows(read, name)
     methods = comparison({name: read})
     messages = messages_of(read, methods.contested)
-    captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
         title=name,
@@ -167,13 +153,14 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         messages=messages,
         too_slow=too_slow(),
         brief=brief(read, messages),
-        table=table,
-        joint=[row for row in table["parameter"] if not of_noise(row.name)],
-        notes=parameter_notes(table, read, marked=False),
+        rows=rows,
+        groups=GROUPS,
+        noise=[row.name for row in rows if of_noise(row.name)],
+        notes=parameter_notes(rows, read),
         methods=methods,
         friction=list(friction_cells(read.friction, HTML)),
         explained=list(explained(methods)),
-        figures=page_figures(folder, [*RUN_FIGURES.values(), ROLL_OUT], captions),
+        figures=page_figures(folder, captions(read)),
         provenance=read_provenance(folder),
         config=_text(folder / "config.toml"),
     )
@@ -224,7 +211,7 @@ def compare_page(
     folder: Path,
     compared: Comparison,
     runs: Mapping[str, Summary],
-    pooled: Sequence[SharedQuantity],
+    pooled: Sequence[Mapping[str, Any]],
     provenance: Mapping[str, Provenance | None],
 ) -> str:
     """Write the page of a comparison; a figure that ``folder`` lacks is left out."""
@@ -237,6 +224,6 @@ def compare_page(
         provenance=provenance,
         methods=compared,
         explained=list(explained(compared)),
-        figures=page_figures(folder, [FOREST], {}),
+        figures=page_figures(folder),
         version=next(iter(runs.values())).bayesfric,
     )

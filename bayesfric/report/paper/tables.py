@@ -8,55 +8,26 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from importlib.resources import files
-from itertools import chain
 from typing import Any
 
 from bayesfric.base import __version__
-from bayesfric.report.comparison.comparison import Comparison, comparison, comparison_csv
+from bayesfric.report.comparison.comparison import (
+    Comparison,
+    comparison,
+    comparison_dict,
+    explained,
+)
 from bayesfric.report.numbers import LATEX
-from bayesfric.report.result_row import ResultRow, known_row, result_rows
+from bayesfric.report.result_row import GROUPS, ResultRow, table_rows
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.words import filled
-
-_GROUPS = {
-    "free": "Quantities seen at the motor (base parameters)",
-    "parameter": "Parameters",
-    "derived": "Derived, of the scale of load and gearbox",
-    "known": "Taken as known",
-}
+from bayesfric.report.words import csv_text, filled
 
 
-# Rows by group, in the order to print them.
-ParameterTable = Mapping[str, Sequence[ResultRow]]
-
-
-def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
-    """Judge every number of a summary for the table of parameters.
-
-    What no scaling of load and alpha changes comes first, without what depends on the motion;
-    ``run`` names it in messages.
-    """
-    read = Summary.read(summary, run)
-    rows = result_rows(read)
-    known = [known_row(name, row.value, row) for name, row in read.fixed.items()]
-    return {
-        "free": [rows[name] for name in read.gauge_free],
-        "parameter": [rows[name] for name in read.parameters],
-        "derived": [rows[name] for name, row in read.derived.items() if not row.gauge_free],
-        "known": [replace(row, remark="") for row in known],
-    }
-
-
-def parameter_notes(
-    table: ParameterTable, summary: Summary, *, marked: bool = True
-) -> tuple[str, ...]:
-    """Write the notes below; ``marked`` is whether open numbers are marked ``(prior)``."""
-    rows = [*chain.from_iterable(table.values())]
-    text = filled("parameter_notes.txt.j2", rows=rows, summary=summary, marked=marked)
-    return tuple(text.splitlines())
+def parameter_notes(rows: Sequence[ResultRow], summary: Summary) -> tuple[str, ...]:
+    """Write the notes below a table of parameters."""
+    return tuple(filled("parameter_notes.txt.j2", rows=rows, summary=summary).splitlines())
 
 
 def parameters_latex(summary: Readable, run: str = "summary.json") -> str:
@@ -65,39 +36,44 @@ def parameters_latex(summary: Readable, run: str = "summary.json") -> str:
     It needs the packages array, booktabs, siunitx (version 3) and tabularx.
     """
     read = Summary.read(summary, run)
-    table = parameter_table(read)
+    rows = table_rows(read)
     lines = [
-        (group, [
-            latex_symbol(r.symbol, r.name), escaped(r.meaning or r.name), *r.shown(LATEX),
-            latex_unit(r.unit), escaped(r.verdict),
+        (r.group, [
+            latex_symbol(r.symbol, r.name), escaped(r.meaning or r.name), *r.texts(LATEX),
+            latex_unit(r.unit), r.in_words,
         ])
-        for group, rows in table.items()
         for r in rows
     ]  # fmt: skip
     share = rf"\qty{{{100 * read.level:g}}}{{\percent}} interval"
-    head = ["Symbol", "Quantity", "Value", share, "Unit", "Determined by"]
     return _table(
-        "Parameters of the joint", "parameters", parameter_notes(table, read),
-        head=head, lines=lines,
-        columns=r"@{}l>{\raggedright\arraybackslash}Xllll@{}", headings=_GROUPS,
+        "Parameters of the joint", "parameters", parameter_notes(rows, read),
+        head=["Symbol", "Quantity", "Value", share, "Unit", "Status"], lines=lines,
+        columns=r"@{}l>{\raggedright\arraybackslash}Xllll@{}", headings=GROUPS,
     )  # fmt: skip
 
 
 def methods_latex(compared: Comparison) -> str:
-    """Write a comparison of methods, or of runs, as a ``table*``."""
+    """Write a comparison of methods, or of runs, as a ``table*``; a number marks each remark."""
+    remarks: dict[str, int] = {}
     lines = []
     for row in compared.rows:
+        cells = []
+        for column in compared.columns:
+            cell = row.cells.get(column.label)
+            text = (
+                ""
+                if cell is None
+                else cell.texts(LATEX)[0] + r"\textsuperscript{\dag}" * cell.plain
+            )
+            if cell is not None and cell.remark and cell.status != "unidentified":
+                mark = remarks.setdefault(cell.remark, len(remarks) + 1)
+                text += rf"\textsuperscript{{{mark}}}"
+            cells.append(text)
         name = latex_symbol(row.symbol, row.name)
-        name += r"\textsuperscript{m}" if row.of_motion else ""
-        cells = [_cell(row.cells.get(column.label)) for column in compared.columns]
-        lines.append(((row.kind, row.gauge_free), [name, latex_unit(row.unit), *cells]))
-    notes = filled(
-        "methods_notes.txt.j2",
-        compared=compared,
-        cells=[cell for row in compared.rows for cell in row.cells.values()],
-        skewed=any("^{+" in text for _, texts in lines for text in texts),
-    ).splitlines()
-    several = compared.several
+        lines.append((row.group, [name, latex_unit(row.unit), *cells]))
+    notes = [text.rstrip(".") for text in explained(compared)]
+    notes += [f"{mark}: {remark}" for remark, mark in remarks.items()]
+    several = len({column.run for column in compared.columns} - {""}) > 1
     return _table(
         "Runs side by side" if several else "Estimates by method",
         "runs" if several else "methods",
@@ -114,15 +90,10 @@ def _table(caption: str, label: str, notes: Sequence[str], **layout: Any) -> str
     return filled("table.tex.j2", caption=caption, label=label, notes=below, **layout) + "\n"
 
 
-def _cell(cell: ResultRow | None) -> str:
-    if cell is None:
-        return ""
-    if cell.status == "undetermined":
-        return "---" if cell.converged else "n.c."
-    marks = {"b": cell.status == "bound", "d": cell.doubted, "s": not cell.alike}
-    marks[r"\dag"] = cell.plain
-    shown, _ = cell.texts(LATEX)
-    return shown + "".join(rf"\textsuperscript{{{mark}}}" for mark, on in marks.items() if on)
+def comparison_csv(compared: Comparison) -> str:
+    """Write a comparison as CSV, one line for each quantity and column."""
+    rows = comparison_dict(compared)["rows"]
+    return csv_text(rows, [*rows[0]] if rows else ["name"])
 
 
 def summary_table(summary: Readable) -> str:
@@ -130,19 +101,18 @@ def summary_table(summary: Readable) -> str:
     return str(Summary.read(summary).frame.to_csv(index=False))
 
 
-def summary_texts(summary: Readable, run: str) -> dict[str, str]:
-    """Write the tables of a run's summary, by file name inside the run directory."""
-    methods = comparison_csv(comparison({run: summary}))
-    return {"summary.csv": summary_table(summary), "methods.csv": methods}
+def text_files(summary: Readable, run: str, *, paper: bool) -> dict[str, str]:
+    """Write a run's tables and captions, with ``paper`` also in LaTeX, by file name."""
+    from bayesfric.report.figures.registry import captions  # with Matplotlib
 
-
-def latex_texts(summary: Readable, run: str) -> dict[str, str]:
-    """Write tables and references for a paper, by file name inside the run directory."""
-    return {
-        "text/references.bib": references(),
-        "tables/parameters.tex": parameters_latex(summary, run),
-        "tables/estimates.tex": methods_latex(comparison({run: summary})),
-    }
+    methods, words = comparison({run: summary}), captions(Summary.read(summary))
+    texts = {"summary.csv": summary_table(summary), "methods.csv": comparison_csv(methods)}
+    texts["text/captions.md"] = "\n".join(f"**{stem}**: {text}\n" for stem, text in words.items())
+    if paper:
+        texts["text/references.bib"] = references()
+        texts["tables/parameters.tex"] = parameters_latex(summary, run)
+        texts["tables/estimates.tex"] = methods_latex(methods)
+    return texts
 
 
 # -- LaTeX with siunitx

@@ -1,0 +1,66 @@
+"""A log of an arm: the same rows and time stamps as of one joint's recording."""
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayesfric.arm.arm import Arm
+from bayesfric.arm.arm_log import ArmLog, layout_of
+from tests.arm import bench
+from tests.arm.bench import ELBOW, SHOULDER
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(bench.urdf())
+    return Arm(folder / "arm.urdf")
+
+
+def opened(arm, path, max_samples=10_000):
+    joints = arm.bodies.joints
+    layout = layout_of(path, joints, {})
+    return ArmLog(path, "log", arm.options, layout, joints, max_samples)
+
+
+def test_holes_and_own_time_stamps_change_no_motion(arm, tmp_path):
+    """Three empty efforts are three rows less; efforts at times of their own are interpolated."""
+    time = 0.005 * np.arange(800)
+    columns = {"time [s]": time}
+    for k, name in enumerate((SHOULDER, ELBOW)):
+        columns[f"position[{name}] [rad]"] = np.sin((2.0 + k) * time)
+        columns[f"effort[{name}] [N m]"] = np.cos((3.0 + k) * time)
+    frame = pd.DataFrame(columns)
+    frame.to_csv(tmp_path / "whole.csv", index=False)
+    whole = opened(arm, tmp_path / "whole.csv")
+    frame.loc[200:202, f"effort[{ELBOW}] [N m]"] = np.nan
+    frame.to_csv(tmp_path / "holes.csv", index=False)
+    holes = opened(arm, tmp_path / "holes.csv")
+    assert (whole.rows, holes.rows) == (800, 797)
+    stamps = {"encoder": time, "drive": time + 0.003}
+    with h5py.File(tmp_path / "own.h5", "w") as file:
+        for group, own in stamps.items():
+            file[f"{group}/time"] = own
+        for name in list(columns)[1:]:
+            group = "drive" if "effort" in name else "encoder"
+            rate = (3.0 if "effort" in name else 2.0) + (ELBOW in name)
+            file[f"{group}/{name}"] = (np.cos if group == "drive" else np.sin)(rate * stamps[group])
+    joints = arm.bodies.joints
+    units = {"time": {"column": "encoder/time", "unit": "s"}}
+    for key, unit in {"position": "rad", "torque": "N m"}.items():
+        name = {"position": "encoder/position", "torque": "drive/effort"}[key]
+        units[key] = {"column": f"{name}[{{joint}}] [{unit}]", "unit": unit}
+    own = ArmLog(tmp_path / "own.h5", "log", arm.options, (units, {}), joints, 10_000)
+    # linear interpolation of cos(4 t) at 5 ms is right within (4 dt)**2 / 8
+    for log, shift in ((holes, 0.0), (own, time[1])):  # before it there is no effort
+        for joint in joints.values():
+            read = log.measured(joint)
+            k = 1.0 * (joint.name == ELBOW)
+            near = np.abs(read.time - time[201]) < 0.05
+            at = read.time[~near] + shift
+            for values, exact in (
+                (read.position, np.sin((2.0 + k) * at)),
+                (read.torque, np.cos((3.0 + k) * at)),
+            ):
+                np.testing.assert_allclose(values[~near], exact, atol=5.1e-5)
