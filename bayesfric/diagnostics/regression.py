@@ -64,7 +64,7 @@ from bayesfric.diagnostics.statistics import (
 )
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.inference.discrepancy import Missing
-from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.derived import derivatives
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
@@ -75,6 +75,8 @@ Severity = Literal["note", "doubt"]
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
+# Gain by which a candidate is better than another: a factor of 150 in likelihood.
+_BETTER = 10.0
 
 
 @dataclass(frozen=True)
@@ -239,8 +241,9 @@ class Regression:
         """Select the significant candidate with the largest penalised gain, searches last.
 
         A transient is selected only if nothing else is significant, a fault of the recording only
-        as the first. If the log is low-passed below its band, smoothing is selected: other
-        candidates would explain what it removed. The gains of all are returned, too.
+        as the first, and if it is better than any term. If the log is low-passed below its band,
+        smoothing is selected: other candidates would explain what it removed. The gains of all are
+        returned, too.
         """
         if not for_noise:
             noise = self._noise_of(self.data, extra)
@@ -280,7 +283,10 @@ class Regression:
                 coefficients = self._fit([*extra, *columns])[0][-len(columns) :]
                 allowed[i] = self._share(columns, coefficients) > kind.least
         significant = bool(allowed.any())
-        best = int(np.argmax(np.where(allowed, worth, -np.inf) if significant else z))
+        # a fault has no remedy: a term that explains as much is selected in its place
+        faults = np.array([kind in BY_NAME and BY_NAME[kind].of_recording for kind in kinds])
+        ranked = np.where(allowed, worth - _BETTER * faults, -np.inf)
+        best = int(np.argmax(ranked if significant else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
         statistic = float(z[best]), p
         selected: dict[str, Any] = {
@@ -342,12 +348,8 @@ class Regression:
         extra: Sequence[int],
         worth: Array,
         collinear_from: float = 0.95,
-        better: float = 10.0,
     ) -> Iterator[str]:
-        """List other kinds that explain as much or are collinear; none for disturbances.
-
-        That is from a cosine on; and a gain ``better`` by 10 is a factor of 150 in likelihood.
-        """
+        """List other kinds that explain as much or are collinear; none for disturbances."""
         if effect.kind in (SINUSOID, TRANSIENT):
             return
         white = self.data.whitened
@@ -363,7 +365,7 @@ class Regression:
                 continue
             cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
             collinear = cosines.size > 0 and float(cosines.min()) > collinear_from
-            if gain > best - better or (collinear and gain > 0.5 * best):
+            if gain > best - _BETTER or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind
 
@@ -546,8 +548,5 @@ def reported_gradients(
     """Return derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
     d, load = values.size, typical_load(chain, observations, values)
     steps = _STEP * np.maximum(np.abs(values), 1e-12)
-    shifted = values + np.concatenate([np.diag(steps), -np.diag(steps)])
-    gradients = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
-    for quantity in derive(chain, shifted, load):
-        gradients[quantity.name] = (quantity.values[:d] - quantity.values[d:]) / (2.0 * steps)
-    return gradients
+    gradients = dict(zip(chain.names, np.eye(d), strict=True))
+    return gradients | {q.name: x for q, _, x in derivatives(chain, values, steps, load)}

@@ -292,3 +292,15 @@ def test_too_few_outputs_name_what_took_them():
     with pytest.raises(BadInput) as caught:
         bf.Model(bf.Joint.preset("motor-axis"), recording)
     assert "dead_zone" in str(caught.value)
+
+
+def test_a_ripple_at_constant_speeds_is_cogging_and_no_fault():
+    """With this noise the torque constant explains it a little better."""
+    recordings, time = [], np.arange(600) * 0.03
+    for k, speed in enumerate((0.9, 1.4, -0.9, -1.4)):
+        q = speed * time + 0.2 * k
+        noise = 0.004 * np.random.default_rng(500 + k).standard_normal(time.size)
+        torque = 0.22 + 0.05 * np.sign(speed) + 7e-4 * speed + 0.0012 * np.sin(3.0 * q) + noise
+        recordings.append(bf.Recording.from_arrays(time, q, torque))
+    (finding, *_) = bf.Model(bf.Joint.preset("motor-axis"), recordings).explain().findings
+    assert finding.hint == "mechanism.elements.motor.cogging = [3]"
