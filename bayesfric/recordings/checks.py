@@ -83,21 +83,23 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
     return values, 0.0, 0
 
 
-def failed_reads(values: Array, *, most: int = 5) -> Flags:
+def failed_reads(values: Array, most: int | None) -> Flags:
     """Flag zeros ``(n,)``, up to ``most`` in a row, between values that are far from zero.
 
     A bus whose motor gives no reply leaves them. Far is twice the largest of the other steps.
     """
     flags = np.zeros(values.size, dtype=np.bool_)
     at = np.flatnonzero(np.isfinite(values))
-    inner = [(a, b) for a, b in runs(values[at] == 0.0) if a > 0 and b < at.size and b - a <= most]
-    if not inner:
+    zeros = [x for x in runs(values[at] == 0.0) if most is None or x[1] - x[0] <= most]
+    if not zeros or not values[at].any():
         return flags
-    begin, end = np.array(inner).T
-    before, after = values[at[begin - 1]], values[at[end]]
+    begin, end = np.array(zeros).T
+    # at an end the neighbour on the other side counts twice
+    before = values[at[np.where(begin > 0, begin - 1, end % at.size)]]
+    after = values[at[np.where(end < at.size, end, begin - 1)]]
     same = before * after > 0.0
     begin, end, near_by = begin[same], end[same], np.minimum(abs(before), abs(after))[same]
-    steps = np.abs(np.diff(values[at]))
+    steps = np.abs(np.diff(values[at], append=values[at[-1]]))
     steps[begin - 1] = steps[end - 1] = 0.0
     far = near_by > 2.0 * steps.max(initial=0.0)
     for a, b in zip(begin[far].tolist(), end[far].tolist(), strict=True):

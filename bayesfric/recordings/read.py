@@ -272,7 +272,9 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
             sign = 2.0**channel.sign_bit
             values = np.where(values >= sign, sign - values, values)
         if key in _MEASURED and not source.steady:
-            failed = checks.failed_reads(values)
+            # a motion does not jump; a drive may be off for longer
+            most = None if key in ("position", "velocity") else 5
+            failed = checks.failed_reads(values, most)
             if failed.any():
                 values = np.where(failed, np.nan, values)
                 where = (
