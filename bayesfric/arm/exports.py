@@ -47,8 +47,8 @@ class Identified:
     joints: Mapping[str, Mapping[str, float]]  # by name, as in the URDF
     bodies: Mapping[str, Array]  # (10,) by name of the link
     remarks: Sequence[str]  # comments at the top, a line each
-    # (10 n_links,) of joints whose numbers go with other bodies
-    separate: Mapping[str, Array] = field(default_factory=dict)
+    # (10 n_links,) by joint, of which its torque was fitted: linear, or of its separate fit
+    linear: Mapping[str, Array] = field(default_factory=dict)
 
 
 def files_of(arm: FittedArm) -> dict[str, str]:
@@ -58,10 +58,13 @@ def files_of(arm: FittedArm) -> dict[str, str]:
     installed, which makes it.
     """
     identified, name, gravity = _identified(arm), f"identified-{arm.urdf.name}", arm.bodies.gravity
+    # the torque of the posterior means is what is predicted
+    means = {name: joint.numbers("mean") for name, joint in arm.joints.items()}
+    mean = replace(identified, joints=means)
     files = {
         name: written_urdf(arm.urdf, identified),
         "ros2_control.yaml": rendered("ros2_control.yaml", identified),
-        "feedforward.py": rendered("feedforward.py", identified, urdf=name, gravity=gravity),
+        "feedforward.py": rendered("feedforward.py", mean, urdf=name, gravity=gravity),
     }
     if find_spec("mujoco"):
         typical = {name: x.urdf["torque_rms"] for name, x in arm.joints.items() if x.urdf}
@@ -75,10 +78,9 @@ def _identified(arm: FittedArm) -> Identified:
     A mean of physical bodies is physical. Where no joint agrees, bodies are the URDF's.
     """
     prior, remarks = arm.prior, [f"Made by bayesfric {__version__} of {arm.urdf.name}."]
-    bodies, separate = prior.nominal, {}
+    bodies, mean, linear = prior.nominal, arm.consistency.draws.mean(axis=0), {}
     if arm.consistency.agreed:
-        mean = prior.nominal + prior.spread @ arm.consistency.draws.mean(axis=0)
-        bodies = with_second_order(mean, prior.nominal)
+        bodies = with_second_order(prior.nominal + prior.spread @ mean, prior.nominal)
     for name, joint in arm.joints.items():
         texts = []
         for key in NUMBERS:
@@ -87,14 +89,18 @@ def _identified(arm: FittedArm) -> Identified:
                 interval = f"[{low:.3g}, {high:.3g}] {row.unit}".strip()
                 texts.append(f"{key} {row.value:.3g} {interval}, {row.reported.status}")
         remarks.append(f"{name}: {'; '.join(texts) or 'not fitted'}")
+        if joint.result is not None:
+            deviations = mean if joint.by_all else joint.separate_deviations
+            linear[name] = prior.nominal + prior.spread @ deviations
         if joint.result is not None and not joint.by_all:
-            separate[name] = prior.nominal + prior.spread @ joint.separate_deviations
             remarks.append(f"{name}: of its separate fit, whose bodies feedforward.py alone has")
+        if directional := [key for key in NUMBERS if len(joint.number_rows(key)) > 1]:
+            remarks.append(f"{name}: mean of both directions: {listed(directional)}")
         if joint.result is not None and (terms := joint.result.summary.taken):
             remarks.append(f"{name}: not written here: {listed([t.kind for t in terms])}")
     links = dict(zip(arm.bodies.links, bodies.reshape(-1, PER_BODY), strict=True))
-    joints = {name: x.numbers for name, x in arm.joints.items()}
-    return Identified(joints, links, remarks, separate)
+    joints = {name: x.numbers() for name, x in arm.joints.items()}
+    return Identified(joints, links, remarks, linear)
 
 
 def rendered(name: str, arm: Identified, **values: Any) -> str:
@@ -104,7 +110,7 @@ def rendered(name: str, arm: Identified, **values: Any) -> str:
     return jinja.get_template(f"{name}.j2").render(
         joints=arm.joints,
         remarks=[" ".join(remark.split()) for remark in arm.remarks],
-        separate=arm.separate,
+        linear=arm.linear,
         **{"gravity": _GRAVITY, **values},
     )
 

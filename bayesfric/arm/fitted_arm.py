@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -90,11 +90,10 @@ class FittedJoint:
         keys = {number.title: key for key, number in NUMBERS.items()}
         return {title: next(iter(self.number_rows(keys[title])), None) for title in COLUMNS}
 
-    @property
-    def numbers(self) -> dict[str, float]:
-        """Reported numbers by key, SI, referred to the joint."""
-        rows = {key: self.number_rows(key) for key in NUMBERS}
-        return {key: float(np.mean([row.value for row in x])) for key, x in rows.items() if x}
+    def numbers(self, kind: Literal["value", "mean"] = "value") -> dict[str, float]:
+        """Numbers by key, SI, referred to the joint: reported values, or posterior means."""
+        rows = {key: [getattr(row, kind) for row in self.number_rows(key)] for key in NUMBERS}
+        return {key: float(np.mean(values)) for key, values in rows.items() if values}
 
     def coefficients(self, flat: Array) -> Array:
         """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""
@@ -112,9 +111,10 @@ class FittedJoint:
 
     @property
     def separate_deviations(self) -> Array:
-        """Deviations ``(n_deviations,)`` of the inertial parameters by this fit alone."""
-        draws = self.coefficients(self.fitted.fit.posterior.flat())
-        return np.asarray(self.directions @ draws.mean(axis=0))
+        """Mean deviations ``(n_deviations,)`` of the inertial parameters by this fit alone."""
+        posterior = self.fitted.fit.posterior
+        names = [f"load.{signal}" for signal in signals(self.directions.shape[1])]
+        return np.asarray(self.directions @ [posterior[name].mean() for name in names])
 
     def draws(self, z: Array, rng: np.random.Generator) -> Array:
         """Draw parameters ``(n, d)`` given deviations ``(n, n_deviations)``.
@@ -176,7 +176,8 @@ class FittedJoint:
                 for end, change in zip(reported.interval, changes, strict=True)
             )
             value = min(max(reported.value + now["median"] - was["median"], low), high)
-            update = leaning(after[:, k], priors[name].limits, bounds[name])
+            update = {"mean": now["mean"]}
+            update |= leaning(after[:, k], priors[name].limits, bounds[name])
             sd = reported.sd * now["sd"] / was["sd"]
             if row.verdict == "weak" and sd < WIDE * (row.prior_sd or math.inf):
                 update["verdict"] = "data"  # of all joints, and the URDF

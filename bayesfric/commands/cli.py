@@ -268,6 +268,9 @@ def export(
     joint: str = Option("joint", help="what the simulator calls the joint"),
     into: Path | None = Option(None, metavar="MODEL", help="mujoco: model whose joint is changed"),
     draws: int | None = Option(None, help="csv: how many draws"),
+    program: str | None = Option(
+        None, "--for", metavar="PROGRAM", help="only what it takes, such as drake or pinocchio"
+    ),
     force: bool = Option(False, "--force", help="keep an old export aside"),
     as_json: AsJson = False,
 ) -> None:
@@ -275,7 +278,9 @@ def export(
     from bayesfric.export.exported import export as run_to
 
     place = output or Path(f"{run.resolve().name}-{to}")
-    exported = run_to(run, to, output=place, force=force, joint=joint, into=into, draws=draws)
+    exported = run_to(
+        run, to, output=place, force=force, joint=joint, into=into, draws=draws, program=program
+    )
     written = [str(place / name) for name in (*exported.files, "export.json")]
     lines = [*exported.text().splitlines(), "", f"Written: {', '.join(written)}"]
     _print(exported.as_json(), as_json, lines)

@@ -22,27 +22,28 @@ from bayesfric.export.joint_model import (
     Numbers,
     Trajectory,
     exact_numbers,
-    loss_columns,
     number_of,
     of_recording,
+    simulated_torque,
     stacked,
     thinned,
     torque_along,
     undelayed,
+    unit_torques,
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
+from bayesfric.export.programs import Program, program_of, programs
 from bayesfric.export.written_law import law, unwritten
 from bayesfric.fit.model import Result
 from bayesfric.fit.result import result_of
-from bayesfric.identifiability.friction_curve import covered, friction_torque
+from bayesfric.identifiability.friction_curve import covered
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
 
-# Draws for intervals, and recorded samples at which friction is compared.
-_DRAWS, _SAMPLES = 400, 2000
+_DRAWS = 400  # for intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +101,7 @@ def export(
     joint: str = "joint",
     into: Path | str | None = None,
     draws: int | None = None,
+    program: str | None = None,
 ) -> Exported:
     """Export a finished posterior to a simulator's files, and report what these lose.
 
@@ -120,6 +122,9 @@ def export(
         MuJoCo: model whose joint is changed.
     draws
         CSV: number of draws.
+    program
+        Program that the files are for, such as ``drake``: numbers that it does not take are left
+        out, and those that it takes are fitted in their place.
 
     Returns
     -------
@@ -132,7 +137,10 @@ def export(
         If there is no such format or option, or the joint has a term that the format cannot take.
     """
     form = format_of(to)
-    options = Options(joint, None if into is None else Path(into), draws)
+    reader = None if program is None else program_of(program, to)
+    if reader is not None:
+        form = form.without(reader.unused)
+    options = Options(joint, None if into is None else Path(into), draws, reader)
     _check(form, options)
     if output is not None:
         check_output_folder(Path(output), force=force, marker="export.json")
@@ -160,6 +168,7 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
     vectors = parameter_vectors(run, few, options.draws or _DRAWS)
     recorded = covered(run.model.chain, run.model.observations, vectors.point, open_scale=True)
     load = float(np.abs(recorded[1]).mean())
+    law_torque = torque_along(joint, undelayed(joint, vectors.point[None]), motions)[0]
     fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), few, load)
     # the torque that held the joint at standstill is a lower limit of its static friction
     law_friction = fitted["static_friction"]
@@ -168,9 +177,11 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
     at_least = bool(fitted["static_friction"][0] > law_friction[0])
     numbers = {name: float(x[0]) for name, x in fitted.items()}
     draws = {name: x[1:] for name, x in fitted.items()}
-    error = _torque_error(run, form, vectors.point, fitted, motions)
-    if form.friction and not form.complete:
-        error["friction"] = _friction_error(run, numbers, vectors, recorded)
+    first = {name: x[:1] for name, x in fitted.items()}
+    off = form.torque(joint, vectors.point, first, motions) - law_torque
+    motor = {"rms": rms_of(off), "largest": float(np.abs(off).max())}
+    error = {"motor": motor, "torque_rms": rms_of(law_torque)}
+    readers = [options.program] if options.program else programs().get(form.name, {}).values()
     motor_unit = "N m" if joint.motor_motion == "rotary" else "N"
     lost = lost_terms(joint, form, vectors.point, motions)
     names = {
@@ -191,12 +202,13 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
             for x in lost
         ],
         "error": error,
+        "programs": [_in_program(reader, joint, first, motions, law_torque) for reader in readers],
         "unit": motor_unit,
         "draws": len(vectors.draws),
         "central": vectors.kind,
     }
     rotary, language = joint.load.motion == "rotary", form.language
-    with_body = bool(form.notes & {"body", "mujoco"}) and options.into is None
+    with_body = options.into is None and any("inertia about the joint" in x for x in form.names)
     # everything that templates and writers use
     content: dict[str, Any] = {
         "format": form.name,
@@ -215,7 +227,7 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
         "unit": motor_unit,
         "position_unit": "rad" if rotary else "m",
     }
-    record["notes"] = _notes(content, form, error)
+    record["notes"] = _notes(content)
     content["remarks"] = [
         _harmless(line) for line in filled("remarks.txt.j2", **record).splitlines() if line
     ]
@@ -240,27 +252,29 @@ def lost_terms(
     """
     values = undelayed(joint, vector[None])
     losses = [name for name in LOSSES if name in form.carried and form.friction]
-    basis = loss_columns(losses, motions)
+    springs = ["stiffness"] if "stiffness" in form.carried else []
+    # nothing stands in for the link and the drive
+    bases = [
+        (names, columns := unit_torques(names, motions), np.linalg.pinv(columns))
+        for names in (losses, springs, [])
+    ]
     whole, lost = torque_along(joint, values, motions)[0], []
     for p, value in zip(joint.parameters, vector.tolist(), strict=True):
         row = {"parameters": [p.name], "value": value, "unit": p.unit, "meaning": p.meaning}
         number = number_of(p)
-        if form.complete:
-            if omitted(p.row) or of_recording(p):
-                lost.append({"kind": "left out", **row})
-        elif of_recording(p):
+        if of_recording(p) or (form.complete and omitted(p.row)):
             lost.append({"kind": "left out", **row})
-        elif number == "armature" and number not in form.carried:
+        elif number in form.carried or form.complete or not form.friction or _is_shape(p):
+            continue
+        elif number == "armature":
             lost.append({"kind": "armature", **row})
-        elif number not in form.carried and form.friction and not _is_shape(p):
+        else:
             without = values.copy()
             without[0, joint.names.index(p.name)] = 0.0
             term = whole - torque_along(joint, without, motions)[0]
-            columns, fitted = basis, losses
-            if number in ("stiffness", "stiffness_cubic"):
-                fitted = ["stiffness"] if "stiffness" in form.carried else []
-                columns = stacked(motions)[:1].T[:, : len(fitted)]
-            left = term - columns @ (np.linalg.pinv(columns) @ term)
+            kind = 2 if number in LINK_AND_DRIVE else number in ("stiffness", "stiffness_cubic")
+            fitted, columns, inverse = bases[kind]
+            left = term - columns @ (inverse @ term)
             sizes: dict[str, Any] = {"torque": rms_of(term), "left": rms_of(left), "fitted": fitted}
             sizes["torque_unit"] = "N m" if joint.motor_motion == "rotary" else "N"
             lost.append({"kind": "fitted", **row, **sizes})
@@ -282,7 +296,7 @@ def _sources(run: Result, form: Format) -> dict[str, list[str]]:
             number = instead.get(number, "")
         if number:
             names[number].append(p.name)
-        elif not of_recording(p) and not _is_shape(p):
+        elif not of_recording(p) and not _is_shape(p) and number_of(p) not in LINK_AND_DRIVE:
             for loss in (*LOSSES, *(name for name in names if name not in NUMBERS)):
                 names[loss].append(p.name)
         if p.quantity in ("load_drive", "load_back"):
@@ -298,7 +312,7 @@ def _harmless(remark: str) -> str:
     return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
 
 
-def _notes(content: Mapping[str, Any], form: Format, error: Mapping[str, Any]) -> list[str]:
+def _notes(content: Mapping[str, Any]) -> list[str]:
     """List notes on the format and the run."""
     run, motions = content["run"], content["motions"]
     placeholder = None
@@ -311,9 +325,7 @@ def _notes(content: Mapping[str, Any], form: Format, error: Mapping[str, Any]) -
     text = filled(
         "notes.txt.j2",
         **content,
-        words=form.notes,
         summary=run.summary,
-        friction=error.get("friction"),
         known_load=any(m.inputs.known_load for m in motions),
         own_term=unwritten(run.joint) is not None,
         placeholder=placeholder,
@@ -383,35 +395,24 @@ def _not_identified(
     return statuses
 
 
-def _torque_error(
-    run: Result,
-    form: Format,
-    vector: Array,
-    fitted: Numbers,
-    motions: Sequence[Trajectory],
+def _in_program(
+    program: Program, joint: Joint, numbers: Numbers, motions: Sequence[Trajectory], law: Array
 ) -> dict[str, Any]:
-    """Compare motor torques of the fitted joint and of a format along the recorded motion."""
-    expected = torque_along(run.joint, undelayed(run.joint, vector[None]), motions)[0]
-    numbers = {name: x[:1] for name, x in fitted.items()}
-    error = form.torque(run.joint, vector, numbers, motions) - expected
-    motor = {"rms": rms_of(error), "largest": float(np.abs(error).max())}
-    return {"motor": motor, "torque_rms": rms_of(expected)}
+    """Say what a program makes of the numbers, in motor torque along the recorded motion.
 
-
-def _friction_error(
-    run: Result, numbers: Mapping[str, float], vectors: ParameterVectors, recorded: Array
-) -> dict[str, float]:
-    """Compare a format's friction with the median over draws, at recorded speeds and loads.
-
-    Both are at the motor, of its true torque, each speed as often as it was recorded.
+    ``numbers`` are those of the format, ``(1,)`` each, and ``law`` is the fitted joint's torque.
     """
-    joint, count = run.joint, recorded.shape[1]
-    speed, load = recorded[:, np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int)]
-    with np.errstate(all="ignore"):
-        drawn = friction_torque(joint, vectors.draws, speed, load, open_scale=True)
-    curve = np.median(drawn, axis=0)
-    size = np.abs(speed / joint.ratio)
-    exported = sum(numbers[name] * function(size) for name, function in LOSSES.items())
-    gain = vectors.point[joint.names.index("drive.gain")] if joint.gain else 1.0
-    error = (exported * gain / numbers["gain"] - curve)[np.isfinite(curve)]
-    return {"rms": rms_of(error), "curve_rms": rms_of(curve[np.isfinite(curve)])}
+    factors, refused = program.changes(name for name, x in numbers.items() if x.any())
+    plain = {name: x for name, x in factors.items() if name not in ("gain", "torque_offset")}
+    row: dict[str, Any] = {"program": program.name, "version": program.version}
+    row |= {"refuses": refused, "at_joint": "gain" in factors, "changed": []}
+    if plain and not refused:
+        written = simulated_torque(joint, numbers, motions)[0]
+        for name, factor in plain.items():
+            alone = simulated_torque(joint, numbers | {name: factor * numbers[name]}, motions)[0]
+            term = {"number": name, "factor": factor, "stored": name in program.stored}
+            row["changed"].append({**term, "torque": rms_of(written - alone)})
+        read = numbers | {name: factor * numbers[name] for name, factor in plain.items()}
+        row["error"] = rms_of(simulated_torque(joint, read, motions)[0] - law)
+    unit = "N m" if joint.motor_motion == "rotary" else "N"
+    return row | {"says": filled("program.txt.j2", **row, whole=rms_of(law), unit=unit).strip()}

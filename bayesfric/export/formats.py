@@ -15,8 +15,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from bayesfric.export.joint_model import (
     static_friction,
     torque_along,
 )
+from bayesfric.export.programs import Program
 from bayesfric.export.written_law import Language
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Quantity
@@ -54,6 +55,7 @@ class Options:
     joint: str = "joint"  # name of the joint in the simulator's model
     into: Path | None = None  # model whose joint is changed
     draws: int | None = None
+    program: Program | None = None  # that the files are for
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,9 @@ class Format:
     write: Callable[[Mapping[str, Any]], Files] | None = None  # in place of templates
     language: Language | None = None  # in which the model has the law
     options: frozenset[str] = frozenset()  # of Options, in addition to joint
-    notes: frozenset[str] = frozenset()  # words that templates/notes.txt.j2 tests
     complete: bool = False  # whether it carries the law itself instead of numbers
     friction: bool = True  # whether its friction is a function of speed
+    dropped: frozenset[str] = frozenset()  # numbers that its program does not take
 
     @property
     def numbers(self) -> Mapping[str, Number]:
@@ -79,7 +81,13 @@ class Format:
     @property
     def carried(self) -> frozenset[str]:
         """Numbers that it has, or leaves to the surrounding model."""
-        return frozenset(NUMBERS if self.complete else {*self.names.values(), *LINK_AND_DRIVE})
+        numbers = NUMBERS if self.complete else {*self.names.values(), *LINK_AND_DRIVE}
+        return frozenset(numbers) - self.dropped
+
+    def without(self, numbers: Collection[str]) -> Format:
+        """Leave numbers out; others are fitted in their place."""
+        names = {k: x for k, x in self.names.items() if x not in numbers}
+        return replace(self, names=names, dropped=frozenset(numbers))
 
     def fit(
         self, joint: Joint, values: Array, motions: Sequence[Trajectory], load: float
@@ -88,6 +96,7 @@ class Format:
         if not self.friction:
             return bam_numbers(joint, values, list(motions))
         numbers = simulator_numbers(joint, values, motions, self.carried)
+        numbers |= {name: np.zeros(len(values)) for name in self.dropped}
         if "static_friction" in self.carried:
             static = static_friction(joint, values, load)
             # simulators want no less than what slides
@@ -182,7 +191,7 @@ def _write_mujoco(content: Mapping[str, Any]) -> Files:
     """Write a whole model of the joint, or a joint of a model changed in place."""
     options, numbers, stem = content["options"], content["numbers"], content["stem"]
     files: Files = {}
-    if "law" in content:
+    if "law" in content and (options.program is None or options.program.name == "mujoco"):
         files = {f"{stem}_friction.py": filled("mujoco_friction.py.j2", **content)}
     if (path := options.into) is not None:
         text = read_text(path, "name an MJCF file with --into")
@@ -321,84 +330,32 @@ _C_FILES = {"{stem}_feedforward.c": "feedforward.c.j2", "{stem}_feedforward.h": 
 _ABOUT = {f"about: {number}": number for number in NUMBERS}
 _DYNAMICS = {"dynamics damping": "damping", "dynamics friction": "friction"}
 
+_INTO, _DRAWS = frozenset({"into"}), frozenset({"draws"})
+_SPRING = {"dynamics spring_stiffness": "stiffness"}
+_DRAKE = {"rotor_inertia gear_ratio²": "armature", "dynamics damping": "damping"}
+_PINOCCHIO_FILES = _URDF | {"{stem}_pinocchio.py": "pinocchio.py.j2"}
+_ISAAC_FILES = {"{stem}_isaac_lab.py": "isaac_lab.py.j2", "{stem}.usda": "joint.usda.j2"}
+_ROS2_FILES = {"{stem}_ros2_control.yaml": "ros2_control.yaml.j2"} | _C_FILES
+_PYTHON_FILES = {"{stem}_feedforward.py": "feedforward.py.j2"}
+_ROS2_MEANING = "ros2_control, and its feed-forward in C99"
+_PLAIN = {name: name for name in NUMBERS}
+
 FORMATS: Mapping[str, Format] = {
     form.name: form
     for form in (
-        Format(
-            "mujoco",
-            "MuJoCo",
-            _MUJOCO,
-            write=_write_mujoco,
-            language="python",
-            options=frozenset({"into"}),
-            notes=frozenset({"mujoco"}),
-        ),
-        Format(
-            "urdf",
-            "URDF",
-            _DYNAMICS | _BODY,
-            _URDF,
-            notes=frozenset({"joint torque", "body", "ignored", "gravity"}),
-        ),
-        Format(
-            "sdf",
-            "SDF",
-            _DYNAMICS | {"dynamics spring_stiffness": "stiffness"} | _BODY,
-            {"{stem}.sdf": "joint.sdf.j2"},
-            notes=frozenset({"joint torque", "body", "gravity"}),
-        ),
-        Format(
-            "drake",
-            "Drake",
-            {"rotor_inertia gear_ratio²": "armature", "dynamics damping": "damping"} | _BODY,
-            _URDF,
-            notes=frozenset({"joint torque", "body", "drake", "gravity"}),
-        ),
-        Format(
-            "pinocchio",
-            "Pinocchio",
-            _PINOCCHIO | _BODY,
-            _URDF | {"{stem}_pinocchio.py": "pinocchio.py.j2"},
-            notes=frozenset({"joint torque", "body", "pinocchio"}),
-        ),
-        Format(
-            "isaac",
-            "Isaac Lab and Isaac Sim",
-            _ISAAC,
-            {"{stem}_isaac_lab.py": "isaac_lab.py.j2", "{stem}.usda": "joint.usda.j2"},
-            notes=frozenset({"joint torque", "isaac"}),
-        ),
-        Format(
-            "bam",
-            "BAM",
-            BAM_NAMES,
-            write=_write_bam,
-            notes=frozenset({"joint torque", "bam"}),
-            friction=False,
-        ),
-        Format(
-            "ros2-control",
-            "ros2_control, and its feed-forward in C99",
-            _ROS2,
-            {"{stem}_ros2_control.yaml": "ros2_control.yaml.j2"} | _C_FILES,
-            language="c",
-            notes=frozenset({"joint torque"}),
-        ),
+        Format("mujoco", "MuJoCo", _MUJOCO, write=_write_mujoco, language="python", options=_INTO),
+        Format("urdf", "URDF", _DYNAMICS | _BODY, _URDF),
+        Format("sdf", "SDF", _DYNAMICS | _SPRING | _BODY, {"{stem}.sdf": "joint.sdf.j2"}),
+        Format("drake", "Drake", _DRAKE | _BODY, _URDF),
+        Format("pinocchio", "Pinocchio", _PINOCCHIO | _BODY, _PINOCCHIO_FILES),
+        Format("isaac", "Isaac Lab and Isaac Sim", _ISAAC, _ISAAC_FILES),
+        Format("bam", "BAM", BAM_NAMES, write=_write_bam, friction=False),
+        Format("ros2-control", _ROS2_MEANING, _ROS2, _ROS2_FILES, language="c"),
         Format("c", "feed-forward in C99", _ABOUT, _C_FILES, language="c", complete=True),
         Format(
-            "python",
-            "feed-forward in Python",
-            _ABOUT,
-            {"{stem}_feedforward.py": "feedforward.py.j2"},
-            language="python",
+            "python", "feed-forward in Python", _ABOUT, _PYTHON_FILES, language="python",
             complete=True,
         ),
-        Format(
-            "csv",
-            "a CSV table of draws",
-            {name: name for name in NUMBERS},
-            write=_write_draws,
-            options=frozenset({"draws"}),
-        ),
+        Format("csv", "a CSV table of draws", _PLAIN, write=_write_draws, options=_DRAWS),
     )
-}
+}  # fmt: skip

@@ -187,7 +187,7 @@ def simulator_numbers(
     numbers |= {name: np.zeros(len(values)) for name in LOSSES if name not in carried}
     if losses := [name for name in LOSSES if name in carried]:
         missing = torque_along(joint, values, motions) - simulated_torque(joint, numbers, motions)
-        basis = loss_columns(losses, motions)
+        basis = unit_torques(losses, motions)
         amounts = np.stack([numbers[name] for name in losses], axis=1)
         missing *= numbers["gain"][:, None]
         fitted = amounts + missing @ np.linalg.pinv(basis).T
@@ -199,30 +199,25 @@ def simulator_numbers(
         numbers["armature"] = np.zeros(len(values))
     if "stiffness_cubic" not in carried and numbers["stiffness_cubic"].any():
         q = stacked(motions)[0]
-        numbers["stiffness"] = numbers["stiffness"] + numbers["stiffness_cubic"] * slope(q, q**3)
+        slope = float(q @ q**3) / (float(q @ q) or 1.0)  # of the line through zero
+        numbers["stiffness"] = numbers["stiffness"] + numbers["stiffness_cubic"] * slope
         numbers["stiffness_cubic"] = np.zeros(len(values))
     if "stiffness" not in carried:
         numbers["stiffness"] = np.zeros(len(values))
     return numbers
 
 
-def loss_columns(names: Sequence[str], motions: Sequence[Trajectory]) -> Array:
-    """Torque at the joint of loss numbers of one along all motions, ``(M, k)``."""
-    speed = stacked(motions)[1]
-    columns = [LOSSES[name](speed) for name in names]
-    return np.array(columns).reshape(len(names), speed.size).T
+def unit_torques(names: Sequence[str], motions: Sequence[Trajectory]) -> Array:
+    """Torque at the joint of losses, or a stiffness, of one along all motions, ``(M, k)``."""
+    q, qd, _ = stacked(motions)
+    columns = [q if name == "stiffness" else LOSSES[name](qd) for name in names]
+    return np.array(columns).reshape(len(names), q.size).T
 
 
 def nonnegative_fit(columns: Array, torque: Array) -> Array:
     """Fit coefficients of zero or more, ``(k,)``, of columns ``(M, k)`` to a torque ``(M,)``."""
     q, r = np.linalg.qr(columns)
     return np.asarray(nnls(r, q.T @ torque)[0])
-
-
-def slope(x: Array, y: Array) -> float:
-    """Fit the line through zero that is nearest to ``y``."""
-    size = float(x @ x)
-    return float(x @ y) / size if size else 0.0
 
 
 def undelayed(joint: Joint, values: Array) -> Array:

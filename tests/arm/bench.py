@@ -1,11 +1,16 @@
 """A small arm: its URDF, and logs of it simulated by MuJoCo."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 
 import mujoco
 import numpy as np
 import pandas as pd
+
+from bayesfric.arm.exports import files_of
+from bayesfric.arm.fitted_arm import FittedArm
+from tests.conftest import imported
 
 # Mass, centre and inertia of the links, in the frames of their joints.
 LINKS = {
@@ -102,3 +107,19 @@ def log(
         columns[f"position[{name}] [rad]"] = q[:, k] + 2e-6 * rng.normal(size=time.size)
         columns[f"effort[{name}] [N m]"] = effort + 0.3 * rng.normal(size=time.size)
     return pd.DataFrame(columns)
+
+
+def held_out_rms(arm: FittedArm, folder: Path) -> dict[str, tuple[float, float]]:
+    """Residual rms on a held-out log: of the exported feed-forward, and as predicted, by joint."""
+    for name, text in files_of(arm).items():
+        (folder / name).write_text(text)
+    feedforward, rms = imported(folder / "feedforward.py"), {}
+    parts = {name: joint.fitted.model.held_out[0] for name, joint in arm.fitted.items()}
+    signals = {name: part.observation for name, part in parts.items()}
+    motion = np.array([[getattr(x, key) for x in signals.values()] for key in ("q", "qd", "qdd")])
+    torque = np.array([feedforward.torque(*x) for x in np.moveaxis(motion, 2, 0)]).T
+    for x, (name, s) in zip(torque, signals.items(), strict=True):
+        error = s.measured - s.filter.apply(x[None])[0]
+        predicted = arm.joints[name].validation["parts"][parts[name].name]["residual_rms"]
+        rms[name] = float(np.sqrt(np.mean(error**2))), predicted
+    return rms

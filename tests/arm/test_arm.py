@@ -1,6 +1,7 @@
 """A simulated arm, its joints fitted in addition to a URDF that is not quite right."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from tests.commands.bench import Bench
-from tests.conftest import DATA, made_recording
+from tests.conftest import DATA, REPOSITORY, imported, made_recording
 
 from . import bench
 from .bench import ELBOW, SHOULDER
@@ -208,8 +209,30 @@ def test_remarks_where_the_urdf_contradicts_a_log(factor, degrees, message):
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the real recordings are not at {DATA}")
 def test_one_motion_of_a_measured_ur10_predicts_another(tmp_path):
     """Petrone et al. 2025: better than least squares on the URDF's torque and friction."""
-    from tests.conftest import REPOSITORY, imported
-
     study = imported(REPOSITORY / "studies" / "ur10-arm" / "run.py")
     result = study.compared(tmp_path, joints=["elbow_joint"])[0]["elbow_joint"]
     assert result["arm"]["rms"] < result["least squares"]["rms"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"the real recordings are not at {DATA}")
+def test_the_feedforward_of_a_measured_ur10_is_what_was_predicted(tmp_path):
+    """Each joint within one per cent on the motion held out, bodies of separate fits included."""
+    study = imported(REPOSITORY / "studies" / "ur10-arm" / "run.py")
+    rms = bench.held_out_rms(study.compared(tmp_path)[1], tmp_path)
+    assert len(rms) == 6
+    for name, (exported, predicted) in rms.items():
+        assert exported == pytest.approx(predicted, rel=0.01), name
+
+
+def test_the_feedforward_of_a_joint_of_a_separate_fit_is_what_was_predicted(here):
+    """The elbow excluded, as one that contradicts two others would be."""
+    for name, options in (("log", {}), ("other", {"seed": 2, "faster": 1.3})):
+        record(name=name, factors=bench.FACTORS, **options)
+    arm = Arm("arm.urdf", QUICK).fit("log.csv", predict="other.csv", seed=1)
+    consistency, rng = replace(arm.consistency, agreed=(SHOULDER,)), np.random.default_rng(1)
+    joints = {name: joint.updated(consistency, rng) for name, joint in arm.joints.items()}
+    arm = replace(arm, joints=joints, consistency=consistency)
+    assert [arm.joints[name].by_all for name in TRUTH] == [True, False]
+    for name, (exported, predicted) in bench.held_out_rms(arm, here.folder).items():
+        assert exported == pytest.approx(predicted, rel=0.01), name

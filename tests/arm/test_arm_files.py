@@ -215,15 +215,15 @@ def test_feedforward_is_friction_and_the_torque_of_the_urdf(arm, tmp_path, smoot
     assert np.transpose(computed) == pytest.approx(expected, abs=1e-9)
 
 
-def test_feedforward_has_other_bodies_for_a_joint_of_a_separate_fit(tmp_path):
+def test_feedforward_has_the_bodies_by_which_a_joint_was_fitted(tmp_path):
     path, motion = made(tmp_path, FULL), random_motion(3)
-    separate = {ELBOW: np.concatenate([*other(path).values()])}
+    linear = {ELBOW: np.concatenate([*other(path).values()])}
     expected = rigid(path, motion)
     expected[1] = rigid(
         made(tmp_path, written_urdf(path, Identified({}, other(path), []))), motion
     )[1]
     path = made(tmp_path, FULL)
-    feedforward = module(tmp_path, path, Identified({}, {}, [], separate))
+    feedforward = module(tmp_path, path, Identified({}, {}, [], linear))
     computed = [feedforward.torque(*x) for x in np.moveaxis(motion, 2, 0)]
     assert np.transpose(computed) == pytest.approx(expected, abs=1e-9)
 

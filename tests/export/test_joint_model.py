@@ -283,18 +283,14 @@ def test_a_number_states_what_of_it_is_not_identified(form, change, status):
     assert [x for x in exported.files.values() if f"motor.inertia ({status})" in x]
 
 
-def test_an_export_states_the_error_of_its_friction():
+def test_a_lost_term_is_listed_with_its_torque_and_what_remains():
     run = finished_posterior("plain")
-    exact = bf.export(run, "mujoco").record["error"]["friction"]
     drake = bf.export(run, "drake").record
-    error = drake["error"]["friction"]
-    assert exact["rms"] < 0.01 * exact["curve_rms"] < error["rms"] < error["curve_rms"]
-    # what Drake drops is listed with its torque on the recorded motion
     (friction,) = [x for x in drake["lost"] if x["parameters"] == ["joint.coulomb"]]
     assert friction["torque"] == pytest.approx(5.0 / 50.0, rel=0.01)
     assert 0.0 < friction["left"] < friction["torque"]
     assert friction["fitted"] == ["damping"]
-    assert "friction" not in bf.export(run, "c").record["error"]
+    assert not bf.export(run, "mujoco").record["lost"]
 
 
 def test_separate_offsets_of_recordings_are_not_the_joints():

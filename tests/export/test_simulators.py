@@ -131,29 +131,6 @@ def test_sdf_is_read_alike_by_drake_and_pysdf(name):
     assert float(dynamics.friction) == exported_numbers["dynamics friction"]
 
 
-def test_usd_joint_attributes_are_read_back_per_degree():
-    usd = module("pxr.Usd")
-    from pxr import Sdf
-
-    exported = bf.export(finished_posterior("rabbit-knee"), "isaac", joint="knee")
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    assert layer.ImportFromString(exported.files["knee.usda"])
-    stage = usd.Stage.Open(layer)
-    prim = stage.GetPrimAtPath("/knee")
-    assert "PhysxJointAxisAPI:angular" in str(prim.GetMetadata("apiSchemas"))
-
-    def read(name):
-        return prim.GetAttribute(f"physxJointAxis:angular:{name}").Get()
-
-    exported_numbers = numbers(exported)
-    assert read("armature") == pytest.approx(exported_numbers["armature"])
-    assert read("staticFrictionEffort") == pytest.approx(exported_numbers["friction"])
-    assert read("dynamicFrictionEffort") == pytest.approx(exported_numbers["dynamic_friction"])
-    # N m at one degree a second
-    torque_at_one_degree = exported_numbers["viscous_friction"] * np.deg2rad(1.0)
-    assert read("viscousFrictionCoefficient") == pytest.approx(torque_at_one_degree)
-
-
 def test_isaac_lab_takes_the_keywords_that_are_written():
     exported = bf.export(finished_posterior("rabbit-knee"), "isaac", joint="knee")
     given = {}
@@ -209,66 +186,3 @@ def test_bam_is_the_nearest_to_the_law_along_the_motion(name, model):
         torque = free + np.sign(v) * bam_friction(p, torque, external, v)
     reported = exported.record["error"]["motor"]["rms"]
     assert rms((torque - motor) / gain) == pytest.approx(reported, rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["plain", "servo-pendulum"])
-def test_bam_loads_its_file_and_has_the_friction_that_was_written(name, tmp_path):
-    bam = module("bam.model")
-    exported = bf.export(finished_posterior(name), "bam", joint="xl330")
-    (tmp_path / "params.json").write_text(exported.main)
-    model, p = bam.load_model(str(tmp_path / "params.json")), json.loads(exported.main)
-    assert model.actuator_name == "xl330"
-    for motor, external, speed in ((0.3, -0.2, 1.5), (0.1, -0.4, -0.7)):
-        friction, damping = model.compute_frictions(motor, external, speed)
-        expected = bam_friction(p, motor, external, speed)
-        assert friction + damping * abs(speed) == pytest.approx(expected, rel=1e-12)
-
-
-def test_newton_takes_friction_armature_and_damping(tmp_path):
-    """The exported opinions over a joint of a stage; Newton's joint has numbers per radian."""
-    newton = module("newton")
-    module("newton_usd_schemas")
-    exported = bf.export(finished_posterior("plain"), "isaac")
-    over = exported.files["joint.usda"].partition('over "joint"')[2].partition("{")[2]
-    path = tmp_path / "stage.usda"
-    path.write_text(STAGE % over.rpartition("}")[0])
-    builder = newton.ModelBuilder()
-    resolvers = [newton.usd.SchemaResolverNewton(), newton.usd.SchemaResolverMjc()]
-    builder.add_usd(str(path), schema_resolvers=resolvers[:1])
-    value = numbers(exported)
-    assert builder.joint_armature[-1] == pytest.approx(value["armature"], rel=1e-6)
-    assert builder.joint_friction[-1] == pytest.approx(value["dynamic_friction"], rel=1e-6)
-    assert builder.joint_damping[-1] == pytest.approx(value["viscous_friction"], rel=1e-6)
-
-
-STAGE = """#usda 1.0
-(
-    upAxis = "Z"
-    metersPerUnit = 1
-    kilogramsPerUnit = 1
-)
-def Xform "robot" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])
-{
-    def Xform "base" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
-    {
-        float physics:mass = 1
-        float3 physics:diagonalInertia = (1, 1, 1)
-    }
-    def Xform "link" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
-    {
-        float physics:mass = 1
-        float3 physics:diagonalInertia = (1, 1, 1)
-    }
-    def PhysicsFixedJoint "fixed"
-    {
-        rel physics:body1 = </robot/base>
-    }
-    def PhysicsRevoluteJoint "joint"
-    {
-        uniform token physics:axis = "Y"
-        rel physics:body0 = </robot/base>
-        rel physics:body1 = </robot/link>
-%s
-    }
-}
-"""

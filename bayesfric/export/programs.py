@@ -1,0 +1,112 @@
+"""What programs take of the numbers in a file, as it was measured in them (``programs.toml``).
+
+``python -m tests.export.programs`` loads a file of every format in every program that is installed,
+fits numbers to the torque that the program's own dynamics need, and writes the table. A program
+that is not installed keeps its row, with the version that it was last seen with.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.export.joint_model import LOSSES
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program that reads a format, and how it reads its numbers."""
+
+    name: str
+    version: str  # that was measured
+    # factor of each number in the dynamics: 1 arrives, 0 is lost
+    takes: Mapping[str, float]
+    stored: frozenset[str] = frozenset()  # read, and left out of the dynamics
+    warns: frozenset[str] = frozenset()  # of these it says so
+    # with this number in the file others are lost; none where the file is refused
+    spoils: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    # error of the format's numbers, of the program, and rms of a law with load friction, N m
+    torque: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    @property
+    def unused(self) -> frozenset[str]:
+        """Numbers that a file for it has no use for: others are fitted in their place.
+
+        What is stored only is left to the user, where no loss acts that could replace it.
+        """
+        lost = {name for name, factor in self.takes.items() if not factor} | {*self.spoils}
+        if not any(self.takes.get(name) for name in LOSSES):
+            lost -= self.stored
+        return frozenset(
+            lost & {*LOSSES, "armature", "stiffness", "stiffness_cubic", "torque_offset"}
+        )
+
+    def changes(self, present: Iterable[str]) -> tuple[dict[str, float], list[str]]:
+        """Give factors other than 1 of the numbers ``present``, and those that it refuses."""
+        numbers = {*present}
+        spoiling = [name for name in self.spoils if name in numbers]
+        factors = dict(self.takes)
+        factors |= {name: 0.0 for spoiler in spoiling for name in self.spoils[spoiler]}
+        changed = {name: x for name, x in factors.items() if name in numbers and x != 1.0}
+        return changed, [name for name in spoiling if not self.spoils[name]]
+
+
+@cache
+def programs() -> Mapping[str, Mapping[str, Program]]:
+    """Read the programs of each format by name."""
+    text = (files("bayesfric.export") / "programs.toml").read_text(encoding="utf-8")
+    return {
+        form: {
+            name: Program(
+                name,
+                row["version"],
+                row["takes"],
+                frozenset(row.get("stored", ())),
+                frozenset(row.get("warns", ())),
+                {number: tuple(names) for number, names in row.get("spoils", {}).items()},
+                row.get("torque", {}),
+            )
+            for name, row in rows.items()
+        }
+        for form, rows in tomllib.loads(text).items()
+    }
+
+
+def program_of(name: str, form: str) -> Program:
+    """Look up a program that reads a format."""
+    known = programs().get(form, {})
+    if name not in known:
+        problem = f"no file of the format {form} was tried in {name!r}"
+        raise BadInput("--for", problem, nearest(name, known))
+    return known[name]
+
+
+def table() -> str:
+    """Tabulate all programs for the page, a row each."""
+    titles = ("`--to`", "`--for`", "arrives", "stored only", "lost", "states", "chirp")
+    lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
+    for form, rows in programs().items():
+        for p in rows.values():
+            lost = [x for x, f in p.takes.items() if not f and x not in p.stored]
+            cells: tuple[Iterable[str], ...] = (
+                [x if f == 1.0 else f"{x} times {f:.4g}" for x, f in p.takes.items() if f],
+                sorted(p.stored),
+                (
+                    *(f"{x} (it warns)" if x in p.warns else x for x in lost),
+                    *(
+                        f"with {x}: {', '.join(names) or 'refused'}"
+                        for x, names in p.spoils.items()
+                    ),
+                ),
+                *(
+                    [" / ".join(f"{x:g}" for x in p.torque.get(motion, ()))]
+                    for motion in ("states", "chirp")
+                ),
+            )
+            texts = " | ".join(", ".join(cell).replace("_", " ") for cell in cells)
+            lines.append(f"| `{form}` | `{p.name}` {p.version} | {texts} |")
+    return "\n".join(lines)
