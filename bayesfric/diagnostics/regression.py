@@ -64,7 +64,7 @@ from bayesfric.diagnostics.statistics import (
 )
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.inference.discrepancy import Missing
-from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.derived import derivatives
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
@@ -548,8 +548,5 @@ def reported_gradients(
     """Return derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
     d, load = values.size, typical_load(chain, observations, values)
     steps = _STEP * np.maximum(np.abs(values), 1e-12)
-    shifted = values + np.concatenate([np.diag(steps), -np.diag(steps)])
-    gradients = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
-    for quantity in derive(chain, shifted, load):
-        gradients[quantity.name] = (quantity.values[:d] - quantity.values[d:]) / (2.0 * steps)
-    return gradients
+    gradients = dict(zip(chain.names, np.eye(d), strict=True))
+    return gradients | {q.name: x for q, _, x in derivatives(chain, values, steps, load)}
