@@ -50,7 +50,7 @@ def once(name: str, folder: Path) -> None:
 
     path = FITS[name]
     config = read_config(path) if path else demo_config()
-    summary = fit(config, folder / "run", progress=callback, found=lambda _: now("numbers"))
+    summary = fit(config, folder / "run", progress=callback, on_summary=lambda _: now("numbers"))
     now(WRITTEN)
     sampler = {key: summary["sampler"][key] for key in SAMPLER}
     stages: dict[str, float] = {}
