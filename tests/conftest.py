@@ -61,7 +61,7 @@ LONG = {
     "population": """
         pooled""",
     "recordings": """
-        inputs variants""",
+        experiments inputs variants""",
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """

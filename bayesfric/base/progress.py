@@ -61,12 +61,29 @@ def progress_shown(wanted: bool | ProgressCallback) -> Iterator[ProgressCallback
     if callable(wanted) or not wanted:
         yield wanted or no_progress
         return
+    from numba.core import event
     from rich.console import Console
     from rich.progress import Progress as Bar
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+
+    class Compilation(event.Listener):
+        """Say once that kernels are compiled, which a cache keeps for later runs."""
+
+        said = False
+
+        def on_start(self, _: Any) -> None:
+            if not self.said:
+                console.print("compiling, first run only")
+            self.said = True
+
+        def on_end(self, _: Any) -> None:
+            pass
+
+    bar = Bar(*columns, console=console, transient=True)
+    with event.install_listener("numba:compile", Compilation()), bar:
         task = bar.add_task("reading")
 
         def show(progress: Progress) -> None:

@@ -209,6 +209,7 @@ def _content(table: Table, key: str | int) -> dict[str, Any]:
         return content | {"why": "is empty" if holes.all() else "holds no numbers"}
     moves = bool(np.ptp(numbers) > 0.0)
     content |= {"low": float(numbers.min()), "high": float(numbers.max()), "moves": moves}
+    content["increases"] = bool(np.all(np.diff(numbers) > 0.0))
     other = values.size - numbers.size - content["holes"]
     return content | ({"why": f"{other} cells hold something else than numbers"} if other else {})
 
@@ -216,7 +217,9 @@ def _content(table: Table, key: str | int) -> dict[str, Any]:
 def _why_not(row: Mapping[str, Any], meaning: Named, log: Log) -> str:
     """Say why a column of numbers is not taken."""
     if not meaning.channel:
-        return "its name is not known" if isinstance(row["column"], str) else "has no name"
+        if isinstance(row["column"], str):
+            return "its name is not known"
+        return "has no name" + ", increases as time does" * bool(row["increases"])
     if meaning.wanted:
         return "a command, not a measurement"
     if not row["moves"]:

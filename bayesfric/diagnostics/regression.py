@@ -64,7 +64,7 @@ from bayesfric.diagnostics.statistics import (
 )
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.inference.discrepancy import Missing
-from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.derived import derivatives
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
@@ -172,9 +172,8 @@ class Regression:
             if bic < best:
                 best, self.noise, chosen = bic, noise, extra
         self._add_noise(self.noise, chosen)
-        self.replicates = [
-            replace(t, autocorrelation=self._noise_of(t, chosen)) for t in self.replicates
-        ]
+        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+            self.replicates[i] = replicate.with_noise(self._noise_of(replicate, chosen))
 
     def _noise_of(self, d: Columns, extra: Sequence[int]) -> Autocorrelation:
         """Choose the noise about its mean: the autocorrelation would absorb an offset."""
@@ -409,7 +408,7 @@ class Regression:
             return replace(d, others=others, keys=(*d.keys, *keys))
 
         self.data = extended(self.data)
-        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+        for i, replicate in enumerate(self.replicates):
             self.replicates[i] = extended(replicate)
         return list(range(first, self.data.others.shape[1]))
 
@@ -548,8 +547,5 @@ def reported_gradients(
     """Return derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
     d, load = values.size, typical_load(chain, observations, values)
     steps = _STEP * np.maximum(np.abs(values), 1e-12)
-    shifted = values + np.concatenate([np.diag(steps), -np.diag(steps)])
-    gradients = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
-    for quantity in derive(chain, shifted, load):
-        gradients[quantity.name] = (quantity.values[:d] - quantity.values[d:]) / (2.0 * steps)
-    return gradients
+    gradients = dict(zip(chain.names, np.eye(d), strict=True))
+    return gradients | {q.name: x for q, _, x in derivatives(chain, values, steps, load)}

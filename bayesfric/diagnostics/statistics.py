@@ -17,7 +17,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -355,10 +354,9 @@ class Columns:
         return replace(self, base=base, others=others, residual=residual, autocorrelation=WHITE)
 
     def with_noise(self, noise: Autocorrelation) -> Columns:
-        """Keep the candidates' columns whitened by a noise alone: a replicate's take the memory."""
-        white = noise.whitened(self.others.astype(np.float64), self.layout)
-        others: Any = white.astype(self.others.dtype)
-        return replace(self, others=others, others_whitened=True, autocorrelation=noise)
+        """Whiten the candidates' columns in place: those of replicates take most of the memory."""
+        self.others[:] = noise.whitened(self.others.astype(np.float64), self.layout)
+        return replace(self, others_whitened=True, autocorrelation=noise)
 
     def with_candidates(self, extra: Sequence[int]) -> Array:
         """Append columns of candidates, by number, to the model's own: ``(n, d + k)``."""

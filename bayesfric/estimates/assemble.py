@@ -15,7 +15,7 @@ from bayesfric.estimates.information import Information
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Bound, Estimate, EstimatedValue, Kind, Knowledge
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
-from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.derived import derivatives, derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Parameter, State
 from bayesfric.mechanism.scaling import Scaling, scalings
@@ -151,23 +151,14 @@ def assemble(
                 numbers.append(value_of(number, gradients[i], "total"))
 
     listed, load = {value.name for value in numbers}, typical_load(joint, observations, values)
-    moving, k = np.flatnonzero(scale), np.count_nonzero(scale)
-    shifts = np.eye(values.size)[moving] * 1e-5 * scale
-    vectors = values + np.concatenate([shifts, -shifts, np.zeros((1, values.size))])
-    for q in derive(joint, vectors, load):
-        gradient = np.zeros(values.size)
-        gradient[moving] = (q.values[:k] - q.values[k : 2 * k]) / (2e-5 * scale[moving])
-        if (
-            q.name in listed
-            or not np.isfinite([*gradient, q.values[-1]]).all()
-            or not any(gradient)
-        ):
+    for q, value, gradient in derivatives(joint, values, 1e-5 * scale, load):
+        if q.name in listed or not np.isfinite([*gradient, value]).all() or not any(gradient):
             continue  # a total, undefined here, or a function of fixed values only
 
         def along(x: Array, name: str = q.name) -> Array:
             return next(d.values for d in derive(joint, x, load) if d.name == name)
 
-        number = q.name, q.unit, q.symbol, q.meaning, float(q.values[-1])
+        number = q.name, q.unit, q.symbol, q.meaning, value
         numbers.append(value_of(number, gradient, "derived", gauge_free=q.gauge_free, along=along))
 
     scaled = {name for scaling in scalings(joint) for name in scaling.names}

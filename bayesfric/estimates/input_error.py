@@ -223,19 +223,14 @@ class TorqueProblem:
 
     def residual(self, x: Array) -> Array:
         """Weighted residuals ``(n_outputs + k,)`` at free parameters ``(d,)``, priors last."""
-        residual = self.weights * self.torque_error(x)
-        if not self.prior_weight:
-            return residual
         rows, targets = self.knowledge.rows(self.chain)
-        rows, targets = self.prior_weight * rows, self.prior_weight * targets
-        return np.concatenate([residual, targets - rows @ x])
+        by_priors = self.prior_weight * (targets - rows @ x)
+        return np.concatenate([self.weights * self.torque_error(x), by_priors])
 
     def jacobian(self, x: Array) -> Array:
         """Differentiate :meth:`residual`: ``(n_outputs + k, d)``."""
-        jacobian = -self.weighted_jacobian(x)
-        if not self.prior_weight:
-            return jacobian
-        return np.concatenate([jacobian, -self.prior_weight * self.knowledge.rows(self.chain)[0]])
+        rows, _ = self.knowledge.rows(self.chain)
+        return -np.concatenate([self.weighted_jacobian(x), self.prior_weight * rows])
 
     def minimise(self, x: Array, *, held: Sequence[int] = (), steps: int = 100) -> Minimum:
         """Minimise the sum of squares from a start ``(d,)`` within the limits.

@@ -20,7 +20,7 @@ from bayesfric.estimates.torque import torque_jacobian, typical_load
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import LocalUnits, Target, units_of
-from bayesfric.mechanism.derived import Derived, derive
+from bayesfric.mechanism.derived import Derived, derivatives
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.signals import Signals
@@ -186,12 +186,15 @@ def derived_gradients(
 ) -> Iterator[tuple[Derived, float, Array]]:
     """Give each derived quantity at sampled parameters, with its gradient in local units."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    steps = 1e-5 * np.abs(local.units)
-    shifts = np.eye(steps.size, parameters.size) * steps[:, None]
-    vectors = target.chain_values(parameters + np.concatenate([shifts, -shifts, 0.0 * shifts[:1]]))
-    for q in derive(chain, vectors, typical_load(chain, observations, vectors[-1])):
-        up, down = q.values[:-1].reshape(2, -1)
-        yield q, float(q.values[-1]), (up - down) / (2.0 * steps) * local.units
+    values, columns = (
+        target.chain_values(parameters[None])[0],
+        [*map(chain.names.index, local.names)],
+    )
+    steps = np.zeros(values.size)
+    steps[columns] = 1e-5 * np.abs(local.units)
+    load = typical_load(chain, observations, values)
+    for q, value, slopes in derivatives(chain, values, steps, load):
+        yield q, value, slopes[columns] * local.units
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:

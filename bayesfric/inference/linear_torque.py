@@ -11,9 +11,8 @@ A function of speed that multiplies a loss (a Stribeck rise, a load-dependent fr
 with speed or depends on direction) multiplies its columns: with ``mu_1`` and ``mu_2`` sums of such
 functions ``phi``, so are ``lambda_1`` and ``lambda_2``. A function that depends smoothly on its
 unknown shape (the speed of a Stribeck rise, the exponent of a power of speed, a time constant) is a
-polynomial in it over the relevant range: its values at Chebyshev nodes, times Lagrange's
-polynomials (Berrut and Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004)
-501-517). The torque stays linear in as many coefficients.
+polynomial in it over the relevant range, by its values at Chebyshev nodes. The torque stays linear
+in as many coefficients.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from bayesfric.estimates.torque import Term, TorqueForm, columns, filled_columns, torque_form
 from bayesfric.mechanism import kernels
@@ -59,9 +59,12 @@ class Interpolation:
         inverse: Callable[[Any], Any]
         self._scale: Callable[[Any], Any]
         self._scale, inverse = (np.log, np.exp) if log else (np.asarray, np.asarray)
-        self._angles = np.pi * (np.arange(count) + 0.5) / count
+        self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low) or 1.0
+        points = chebyshev.chebpts1(count)
         self.low, self.high = float(inverse(low)), float(inverse(high))
-        self.nodes = inverse(0.5 * (low + high) + 0.5 * (high - low) * np.cos(self._angles))
+        self.nodes = inverse(self._middle + self._half * points)
+        # (K, K): from values at the nodes to coefficients of Chebyshev polynomials
+        self._coefficients = np.linalg.inv(chebyshev.chebvander(points, count - 1))
         # (K, r): columns at nodes are collinear, so few combinations suffice
         self._combinations = np.eye(count)
 
@@ -93,10 +96,10 @@ class Interpolation:
 
     def _error(self, column: Callable[[float], Array], at_nodes: Array) -> float:
         """Return the largest relative error at the range's ends and between nodes."""
-        nodes = np.sort(self.nodes)
-        tested = np.concatenate([[self.low], 0.5 * (nodes[1:] + nodes[:-1]), [self.high]])
+        between = 0.5 * (self.nodes[1:] + self.nodes[:-1])
+        tested = np.concatenate([[self.low], between, [self.high]])
         exact = np.stack([column(float(x)) for x in tested])
-        error = self._lagrange(tested) @ at_nodes - exact
+        error = self._node_weights(tested) @ at_nodes - exact
         size = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
         return float(np.max(np.linalg.norm(error, axis=1) / size))
 
@@ -113,22 +116,14 @@ class Interpolation:
 
     def weights(self, values: Array) -> Array:
         """Return the weights ``(n, r)`` of these combinations for parameter vectors."""
-        return np.asarray(self._lagrange(values[:, self.index]) @ self._combinations)
+        return np.asarray(self._node_weights(values[:, self.index]) @ self._combinations)
 
-    def _lagrange(self, shape: Array) -> Array:
-        if self.nodes.size == 1:
-            return np.ones((shape.size, 1))
-        # as angles of the Chebyshev points, to avoid cancellation
-        with np.errstate(all="ignore"):
-            low, high = self._scale(self.low), self._scale(self.high)
-            x = (2.0 * self._scale(shape) - low - high) / (high - low)
-            differences = x[:, None] - np.cos(self._angles)
-            parts = np.sin(self._angles) * (-1.0) ** np.arange(self.nodes.size) / differences
-            weights = parts / parts.sum(axis=1, keepdims=True)
-        at_node = differences == 0.0
-        hit = at_node.any(axis=1)
-        weights[hit] = at_node[hit]
-        return np.asarray(weights)
+    def _node_weights(self, shape: Array) -> Array:
+        """Weights ``(n, K)`` of values at the nodes for shapes ``(n,)``."""
+        with np.errstate(all="ignore"):  # outside the range any will do
+            x = (self._scale(shape) - self._middle) / self._half
+            powers = chebyshev.chebvander(x, self.nodes.size - 1)
+        return np.asarray(powers @ self._coefficients)
 
 
 class _Group(NamedTuple):

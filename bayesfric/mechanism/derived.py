@@ -110,6 +110,22 @@ def derive(joint: Joint, values: Array, load_torque: float) -> tuple[Derived, ..
     return (*_totals(joint, at, values.shape[0]), *coefficients)
 
 
+def derivatives(
+    joint: Joint, values: Array, steps: Array, load_torque: float
+) -> Iterator[tuple[Derived, float, Array]]:
+    """Yield each derived quantity, its value and its derivatives ``(d,)`` at parameters ``(d,)``.
+
+    By central differences; zero where the step ``(d,)`` is.
+    """
+    moving = np.flatnonzero(steps)
+    shifts = np.diag(steps)[moving]
+    vectors = values + np.concatenate([shifts, -shifts, np.zeros((1, values.size))])
+    for q in derive(joint, vectors, load_torque):
+        slopes, (up, down) = np.zeros(values.size), q.values[:-1].reshape(2, -1)
+        slopes[moving] = (up - down) / (2.0 * steps[moving])
+        yield q, float(q.values[-1]), slopes
+
+
 def _totals(joint: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what is seen at the motor, Theta1 +- Theta2 of eq. (13)."""
     lossy = [element for element in joint.elements if element.load_loss != "none"]

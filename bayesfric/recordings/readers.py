@@ -469,8 +469,8 @@ def _tables_in(data: Any, path: str = "") -> dict[str, Any]:
 
 def _begins_with_stamps(rows: list[list[Any]]) -> bool:
     """Whether the first values of rows of several numbers increase."""
-    stamps = np.array([row[0] if len(row) > 1 else None for row in rows], dtype=np.float64)
-    return stamps.size > 1 and bool(np.all(np.diff(stamps) > 0.0))
+    stamps = [row[0] for row in rows if len(row) > 1 and isinstance(row[0], int | float)]
+    return 1 < len(stamps) == len(rows) and all(a < b for a, b in itertools.pairwise(stamps))
 
 
 def _from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -> Table:
@@ -551,24 +551,17 @@ def _read_parquet(path: Path, _: TableOptions) -> Table:
             problem = f"holds {str(kind)[:60]}, not numbers"
             raise BadInput(f"{path}, column '{name}'", problem, "export it as numbers")
         # by name: a name with a dot also selects a field inside a table
-        column = pa.chunked_array(
-            [
-                c
-                for x in files
-                for c in pq.read_table(x, columns=[name], partitioning=None).column(name).chunks
-            ],
-            kind,
-        )
+        tables = [pq.read_table(x, columns=[name], partitioning=None) for x in files]
+        column = pa.concat_tables(tables).column(name)
         if plain is kind and not column.null_count and not pa.types.is_decimal(kind):
             return np.asarray(column.to_numpy())
         cells = _cells(column.to_pylist())
-        return cells if part is None else cells[:, part]
+        return cells if part is None else cells.reshape(len(cells), -1)[:, part]
 
     units = ["s" if parts and name == "timestamp" else "" for name in names]
-    notes = ("timestamp: LeRobot writes frame_index / fps, not when it was measured",)
-    return Table(
-        str(path), names, load, units=units, by_rows=True, notes=notes if "s" in units else ()
-    )
+    note = "timestamp: LeRobot writes frame_index / fps, not when it was measured"
+    notes = (note,) * ("s" in units)
+    return Table(str(path), names, load, units=units, by_rows=True, notes=notes)
 
 
 def _parquet_files(folder: Path) -> list[Path]:
@@ -599,7 +592,7 @@ def _read_hdf5(path: Path, options: TableOptions) -> Table:
     return _datasets(path, options.table or "", matlab=False)
 
 
-def _datasets(path: Path, table: str, *, matlab: bool) -> Table:
+def _datasets(path: Path, wanted: str, *, matlab: bool) -> Table:
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
@@ -614,28 +607,32 @@ def _datasets(path: Path, table: str, *, matlab: bool) -> Table:
         file.visititems(visit)
     if not datasets:
         raise BadInput(str(path), "holds no datasets of numbers", "check the export")
-    prefix = _prefix(path, datasets, table)
-    names = [name.removeprefix(prefix) for name in datasets if name.startswith(prefix)]
+    # columns of a group that holds time stamps have those
+    stamps = ("time", "timestamp", "timestamps", "stamp", "stamps", "t")
+    groups = {name: name.rpartition("/")[0] for name in datasets}
+    times = {groups[x]: x for x in datasets if groups[x] and x.split("/")[-1].lower() in stamps}
+    columns = {name: ("", times.get(groups[name], "")) for name in datasets}
 
-    def load(index: int) -> NDArray[Any]:
+    def load(name: str) -> NDArray[Any]:
         with h5py.File(path, "r") as file:
-            dataset = file[prefix + names[index]]
+            dataset, problem = file[name], ""
             kind = dataset.attrs.get("MATLAB_class", b"")
             # MATLAB's text and cells are numbers to HDF5
             if kind in (b"char", b"cell", b"function_handle") or dataset.dtype.kind not in "biuf":
                 text = kind.decode() if isinstance(kind, bytes) and kind else dataset.dtype.name
-                where, problem = f"{path}, column '{names[index]}'", f"holds {text}, not numbers"
-                raise BadInput(where, problem, "export it as numbers")
-            if dataset.ndim > 2 and sorted(dataset.shape)[-3] > 1:
-                where, problem = f"{path}, column '{names[index]}'", f"has {dataset.ndim} axes"
-                raise BadInput(where, problem, "give a vector of one value a sample")
-            if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
+                problem = f"holds {text}, not numbers"
+            elif dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
                 return np.empty(0)
+            elif dataset.ndim > 2 and sorted(dataset.shape)[-3] > 1:
+                problem = f"has {dataset.ndim} axes, as images have"
+            if problem:
+                raise BadInput(f"{path}, column '{name}'", problem, "export a vector of numbers")
             # MATLAB stores arrays transposed, and knows no vectors
             values = np.asarray(dataset[()])
             return np.squeeze(values.T if matlab else values)
 
-    return Table(str(path), names, load, clocks=_clocks(names))
+    table = _stamped(path, columns, load, wanted, time_unit="")
+    return dataclasses.replace(table, by_rows=False)
 
 
 def _prefix(path: Path, names: Sequence[str], wanted: str | None) -> str:
@@ -648,15 +645,6 @@ def _prefix(path: Path, names: Sequence[str], wanted: str | None) -> str:
         hint = f"it has {known}" if known else "leave table out"
         raise BadInput(f"{path}, table '{group}'", "there is no such group of columns", hint)
     return prefix
-
-
-def _clocks(names: Sequence[str]) -> dict[str, str]:
-    """Give the columns of each group that holds time stamps those as their clocks."""
-    stamps = ("time", "timestamp", "timestamps", "stamp", "stamps", "t")
-    groups = {name: name.rpartition("/") for name in names if "/" in name}
-    times = {group: name for name, (group, _, last) in groups.items() if last.lower() in stamps}
-    clocks = {name: times[group] for name, (group, _, _) in groups.items() if group in times}
-    return {name: clock for name, clock in clocks.items() if name != clock}
 
 
 def _read_matlab(path: Path, options: TableOptions) -> Table:
@@ -699,6 +687,7 @@ def _stamped(
     prefix = _prefix(path, list(columns), wanted)
     used = {name: column for name, column in columns.items() if name.startswith(prefix)}
     stamps = dict.fromkeys(clock for _, clock in used.values() if clock)
+    used = {name: column for name, column in used.items() if name not in stamps}
     names = [*stamps, *used]
     return Table(
         str(path),

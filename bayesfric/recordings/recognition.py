@@ -106,7 +106,7 @@ class Log:
     joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
     where: dict[str, float] = field(default_factory=dict)  # rows of the first recording of several
-    problems: tuple[str, ...] = ()  # what is wrong with a column, or may be another's
+    problems: tuple[str, ...] = ()  # what is wrong with the chosen columns
 
 
 class Named(NamedTuple):
@@ -148,25 +148,18 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     for channel in ("time", "position", "velocity", *_DRIVES):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
             continue
-        named_so = [(c, values, name) for c, values, name in signals if name.channel == channel]
-        if channel == "time":
-            named_so = _clocks(named_so)
+        named_so = [s for s in signals if s[2].channel == channel]
         fitting = _of_joint(named_so, label)
+        if channel == "time":  # what else its name has is of a computer, not of a joint
+            clocks = _clocks(named_so)
+            fitting = _of_joint(clocks, label) or clocks
         if fitting:
             column, _, name = fitting[0]
             chosen[channel] = column, name.unit
-        elif named_so:
-            listed = ", ".join(repr(column) for column, _, _ in named_so[:20])
-            problems[channel] = f"{channel}: {listed} are not of joint {label!r}"
-        alike = [
-            c for c, _, name in fitting[1:] if channel != "time" and name[1:] == fitting[0][2][1:]
-        ]
-        if alike:
-            problems[channel] = f"{channel}: {', '.join(map(repr, alike[:20]))} may be it as well"
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
     if "time" in chosen:
         chosen["time"] = _checked_time(table, *chosen["time"], chosen, problems)
-    kept = {*_KINDS, *(column for column, _ in chosen.values())}
+    taken = [column for column, _ in chosen.values()]
     return Log(
         chosen,
         columns,
@@ -174,7 +167,7 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         # a column that names no joint is none to choose
         tuple(filter(None, joints)) * (len(joints) > 1),
         where,
-        tuple(text for of, text in problems.items() if of in kept),
+        tuple(problems[column] for column in taken if column in problems),
     )
 
 

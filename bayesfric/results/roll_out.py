@@ -17,9 +17,6 @@ Array = NDArray[np.float64]
 # Input of the simulation, and part of the run.
 Input = Literal["torque", "voltage", "target"]
 Part = Literal["fitted", "held out", "new"]
-# Quantities that are compared, and the denominator of their unit.
-Which = Literal["at_position", "at_speed"]
-WHICH: dict[Which, str] = {"at_position": "", "at_speed": "/s"}
 
 # Share of the simulations that may go another way over the top, as few as a band leaves out.
 MOST_OVER = 1.0 - LEVEL
@@ -57,13 +54,10 @@ class Rolled:
     unit: str  # of the position
     time: Array  # s
     position: Array  # measured
-    speed: Array  # as filtered and differentiated from it, or as measured
     middle: Array  # median position over the parameters alone
     band: tuple[Array, Array]  # of the position, 90 %
     alone: tuple[Array, Array]  # of the parameters alone
-    at_position: Error
-    at_speed: Error
-    runaway: float  # share of the draws that leave any range, or have no motion
+    errors: dict[str, Error]  # of ``position`` and ``speed``
     # largest useful width of a band of the position: how far the joint moved, or half a turn where
     # gravity acts; and the share of the time in which it is wider
     room: float
@@ -94,40 +88,34 @@ class RollOut:
     level: float = LEVEL
 
     @property
-    def pooled(self) -> dict[Which, Error]:
+    def pooled(self) -> dict[str, Error]:
         """Mean errors over the recordings; root mean squares of the RMSE."""
-        pooled: dict[Which, Error] = {}
-        for which in WHICH:
-            rows = [vars(getattr(rolled, which)) for rolled in self.rolled]
+        pooled = {}
+        for quantity in ("position", "speed"):
+            rows = [vars(rolled.errors[quantity]) for rolled in self.rolled]
             mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
             mean["rmse"] = float(np.sqrt(np.mean([row["rmse"] ** 2 for row in rows])))
-            pooled[which] = Error(**mean)
+            pooled[quantity] = Error(**mean)
         return pooled
 
     @property
     def summary(self) -> dict[str, Any]:
         """Its numbers for ``summary.json``: of each recording, and of all together."""
-        rows = {
-            r.name: {
-                **{w.removeprefix("at_"): vars(getattr(r, w)) for w in WHICH},
-                "blind": r.blind,
-                "over": r.over,
-                "part": r.part,
-                "input": r.input,
-            }
-            for r in self.rolled
+
+        def row(errors: dict[str, Error], **more: Any) -> dict[str, Any]:
+            return {quantity: vars(error) for quantity, error in errors.items()} | more
+
+        keys = ("blind", "over", "part", "input")
+        shares = {key: float(np.mean([getattr(r, key) for r in self.rolled])) for key in keys[:2]}
+        recordings = {
+            r.name: row(r.errors, **{key: getattr(r, key) for key in keys}) for r in self.rolled
         }
-        shares = {
-            key: sum(getattr(r, key) for r in self.rolled) / len(rows) for key in ("blind", "over")
-        }
-        pooled = {w.removeprefix("at_"): vars(error) for w, error in self.pooled.items()}
+        totals = ("level", "draws", "seed", "unexplained", "left", "torque_unit")
         return {
-            "recordings": rows,
-            "pooled": {**pooled, **shares, "part": None, "input": None},
+            "recordings": recordings,
+            "pooled": row(self.pooled, **shares, part=None, input=None),
             "unit": self.rolled[0].unit,  # of the position
-            **{key: getattr(self, key) for key in ("level", "draws", "seed", "unexplained")},
-            "left": self.left,
-            "torque_unit": self.torque_unit,
+            **{key: getattr(self, key) for key in totals},
         }
 
     @property
@@ -135,12 +123,13 @@ class RollOut:
         """A row for each recording and quantity, in its unit, and for all together."""
         import pandas as pd
 
-        rows = {}
-        for which, per in WHICH.items():
-            quantity = which.removeprefix("at_")
-            named = [(rolled.name, getattr(rolled, which)) for rolled in self.rolled]
-            for name, error in [*named, ("all together", self.pooled[which])]:
-                rows[name, quantity] = {"unit": self.rolled[0].unit + per, **vars(error)}
+        named = [*((r.name, r.errors) for r in self.rolled), ("all together", self.pooled)]
+        units = {"position": self.rolled[0].unit, "speed": f"{self.rolled[0].unit}/s"}
+        rows = {
+            (name, quantity): {"unit": unit, **vars(errors[quantity])}
+            for quantity, unit in units.items()
+            for name, errors in named
+        }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["recording", "quantity"]
         return frame

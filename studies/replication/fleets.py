@@ -64,7 +64,7 @@ def regression(
     return np.asarray(best[-1] + np.sqrt(covariance[-1, -1]) * rng.standard_normal(2000))
 
 
-def reweighted(number: int, size: int, noises: tuple[float, float]) -> list[bool]:
+def separately(number: int, size: int, noises: tuple[float, float]) -> list[bool]:
     """Pool one fleet; whether intervals hold mean, spread, next run and, of the runs, the first."""
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(size, number)))
     true = MEAN + SPREAD * rng.standard_normal(size)
@@ -119,8 +119,8 @@ def main() -> None:
     file = HERE / "fleets.json"
     result: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.exists() else {}
     parts: dict[str, Callable[[], list[list[bool]]]] = {
-        f"{size} {words} runs, reweighted": lambda size=size, noises=noises: [
-            reweighted(n, size, noises) for n in range(200)
+        f"{size} {words} runs, pooled": lambda size=size, noises=noises: [
+            separately(n, size, noises) for n in range(200)
         ]
         for words, noises in (("fine", FINE), ("rough", ROUGH))
         for size in (5, 20)

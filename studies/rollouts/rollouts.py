@@ -94,9 +94,9 @@ def joint_of(lacking: str, seed: int) -> dict[str, Any]:
         rolled = bf.rollout(posterior, make(true, values, kind, other), seed=seed)
         (played,) = rolled.rolled
         out[kind] = {
-            "mae": played.at_position.mae,
-            "inside": played.at_position.inside,
-            "alone": played.at_position.inside_alone,
+            "mae": played.errors["position"].mae,
+            "inside": played.errors["position"].inside,
+            "alone": played.errors["position"].inside_alone,
             "alone_width": float(np.nanmedian(played.alone[1] - played.alone[0])),
             "moves": rolled.unexplained["fitted"],
         }

@@ -254,8 +254,8 @@ def test_marginalised_candidates_are_products_of_dense_residuals():
     np.testing.assert_allclose(missing.columns, d.others * size)
 
     def products(d, noise=None):
-        x, z, y = whitened(d, d.base, d.others * size, d.residual, noise=noise)
-        z = d.others * size if d.others_whitened else z
+        # all have the same columns, of which replicates keep the whitened ones alone
+        x, z, y = whitened(d, d.base, r.data.others * size, d.residual, noise=noise)
         q = np.linalg.qr(x)[0]
         return z - q @ (q.T @ z), y - q @ (q.T @ y)
 

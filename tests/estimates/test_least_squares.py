@@ -203,7 +203,7 @@ def test_sizes_are_those_where_outputs_are(observed):
         replace(o, q=q, position_step=0.01),
         replace(observations[1], position_step=2e-3),
     ]
-    scales = typical_sizes(RICH, observations)
+    scales = typical_sizes(RICH, observations, {})
     joined = [
         np.concatenate([getattr(o, name)[o.filter.centres] for o in observations])
         for name in ("q", "qd", "qdd")
@@ -225,7 +225,7 @@ def test_sizes_are_those_where_outputs_are(observed):
     # the angle is measured from an unknown zero, or seen
     small = [replace(o, q=0.1 * o.q) for o in observed(PER_RUN, values_of(PER_RUN))]
     leans = [np.abs(np.sin(o.q[o.filter.centres])).max() for o in small]
-    assert (scales.lean, typical_sizes(PER_RUN, small).lean) == pytest.approx((1.0, max(leans)))
+    assert (scales.lean, typical_sizes(PER_RUN, small, {}).lean) == pytest.approx((1.0, max(leans)))
     # speeds go with the ratio, torque against it
     for owner, before, behind in (("motor", 1.0, 10.0), ("joint", 4.0, 2.5), ("load", 10.0, 1.0)):
         sizes = sizes_at(RICH, owner, scales)

@@ -130,7 +130,7 @@ def test_stored_energy_may_exceed_the_motor_torque():
     true = {"motor.inertia": inertia, "motor.viscous": 0.02, "load.first_moment": moment}
     torque = joint.torque(true, swing, qd, qdd)
     recording = bf.Recording.from_arrays(time=t, position=swing, torque=torque)
-    scales = typical_sizes(joint, bf.Model(joint, recording).observations)
+    scales = typical_sizes(joint, bf.Model(joint, recording).observations, {})
     assert scales.torque < 0.4 * 9.81 * moment * math.sin(0.3)
     sds = {p.name: default_prior(joint, p, scales).sd() for p in joint.parameters}
     assert sds["load.first_moment"] > 0.25 * moment

@@ -14,7 +14,7 @@ from bayesfric.recordings.readers import TableOptions, read_table, sha256
 from bayesfric.recordings.source import Position
 from tests.recordings import file_formats
 
-from .samples import lines, numbered, read, source, swing, write
+from .samples import has, lines, numbered, read, refused, source, swing, write
 
 HEADER = "t,q,tau"
 
@@ -122,6 +122,26 @@ def test_binary_formats_and_json(tmp_path, form, table, data):
     if form == "npy":
         np.save(tmp_path / "run.npy", np.stack(list(content().values()), axis=1))
         same(read(tmp_path, numbered("run.npy"))[0])
+
+
+def test_json_of_several_tables(tmp_path):
+    """Rows of numbers that begin with stamps are tables; so are episodes, objects of long lists."""
+    rows = np.stack(swing(), axis=1)
+    tests = {"sysid": True, "slow": rows.tolist(), "fast": rows.tolist()}
+    (tmp_path / "rows.json").write_text(json.dumps(tests))
+    same(read(tmp_path, numbered("rows.json", table="slow"))[0])
+    episode = {key: value.tolist() for key, value in content().items()}
+    (tmp_path / "run.json").write_text(json.dumps({"hz": 100, "data": [episode, episode]}))
+    (tmp_path / "one.json").write_text(json.dumps({"hz": 100, "data": [episode]}))
+    same(read(tmp_path, source("one.json"))[0])
+    for file, tables in {
+        "rows.json": ("'slow'", "'fast'"),
+        "run.json": ("data.0", "data.1"),
+    }.items():
+        has(refused(tmp_path, source(file)), file, *tables)
+    ragged = {"test": [[0.0, 1.0, 2.0], [0.1, 1.0]] * 100}
+    (tmp_path / "ragged.json").write_text(json.dumps(ragged))
+    has(refused(tmp_path, source("ragged.json", table="test")), "ragged.json", "row 2")
 
 
 def test_sha256(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """The reference's recipes, to the letter, on logs as the tools write them."""
 
+import asyncio
 import csv
 import re
 import tomllib
@@ -9,18 +10,19 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
+from bayesfric.recordings.readers import _READERS
 from bayesfric.recordings.source import Recording, Source
 from tests.conftest import REPOSITORY
 from tests.recordings.samples import measured
+from tests.recordings.test_measurement_files import WRITERS
 
 TURN = 2 * np.pi
+PAGE = (REPOSITORY / "studies/reference/logs.md").read_text(encoding="utf-8")
 
 
 def recipes():
-    """Recordings of the reference's section on logs, by their files."""
-    text = (REPOSITORY / "studies/reference/recordings.md").read_text(encoding="utf-8")
-    section = text.partition("## Log formats\n")[2].partition("\n## ")[0]
-    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", section, re.DOTALL)]
+    """Recordings of the reference's page on logs, by their files."""
+    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)]
     return {table["recordings"][0]["file"]: table["recordings"][0] for table in tables}
 
 
@@ -59,8 +61,8 @@ def moteus(path, s):
 
 
 def odrive(path, s):
-    """As numpy.savetxt of BulkCapture.data: time, then what was asked for."""
-    columns = (s.time, s.position / TURN, s.velocity / TURN, s.torque / 0.055)
+    """As numpy.savetxt of the capture, transposed: ns from the trigger, then what was asked for."""
+    columns = (1e9 * (s.time - 0.02), s.position / TURN, s.velocity / TURN, s.torque / 0.055)
     np.savetxt(path, np.stack(columns, axis=1), delimiter=",")
 
 
@@ -69,6 +71,44 @@ LOGS = {"robot_data.csv": ur, "output.csv": moteus, "odrive.csv": odrive}
 
 def test_every_recipe_is_tried():
     assert set(recipes()) == set(LOGS)
+
+
+def test_every_format_has_a_row_with_a_command():
+    rows = [row.split("|") for row in PAGE.splitlines() if row.startswith("| ")]
+    files = [row[2].strip(" `").split()[0] for row in rows if len(row) == 8]
+    read = {file.rpartition(".")[2] for file in files}
+    assert set(WRITERS) - {"serial.log"} <= set(files)
+    assert {
+        kind for kind, (_, suffixes, _) in _READERS.items() if not read & {x[1:] for x in suffixes}
+    } <= {"ros", "npy"}
+
+
+def test_odrive_gives_series_by_samples():
+    capturer = pytest.importorskip("odrive.high_rate_capturer", reason="the recipe's capture")
+
+    class Drive:
+        async def read(self, _):
+            return False
+
+    class Capture(capturer.HighRateCapturer):
+        def __init__(self):
+            self.odrv, self.type_info = Drive(), [(name, 0, 4, None) for name in "qv"]
+
+        async def _download_raw_buffer(self):
+            return b"", 3
+
+        def _decode(self, *_):
+            return [(float(k), 2.0 * k) for k in range(10)], 3
+
+    stamps = capturer.TimestampFmt.NANOSECONDS
+    data = asyncio.run(Capture().download(np.ndarray, stamps))
+    assert data.shape == (3, 10)
+    assert data[0].tolist() == [125_000.0 * (k - 3) for k in range(10)]
+
+
+def test_registers_of_moteus():
+    moteus = pytest.importorskip("moteus", reason="the recipe's registers")
+    assert {"POSITION", "VELOCITY", "TORQUE"} <= set(moteus.Register.__members__)
 
 
 @pytest.mark.parametrize("file", LOGS)

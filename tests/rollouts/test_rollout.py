@@ -113,10 +113,10 @@ def test_a_right_model_moves_as_measured(made):
     rolled = rollout(found)
     (two,) = rolled.rolled
     assert (two.name, two.part, two.input, two.unit) == ("two", "held out", "target", "rad")
-    assert two.at_position.mae < 2e-3
-    assert two.at_speed.mae < 0.02
+    assert two.errors["position"].mae < 2e-3
+    assert two.errors["speed"].mae < 0.02
     # two cycles of a motion are a few independent positions
-    assert two.at_position.inside > 0.6
+    assert two.errors["position"].inside > 0.6
     # the same seed gives the same numbers, any seed the same median
     first, repeated, other = (rollout(found, draws=20, seed=seed) for seed in (None, None, 9))
     assert first.rolled[0].band[0].tobytes() == repeated.rolled[0].band[0].tobytes()
@@ -132,10 +132,10 @@ def test_the_command_prints_what_python_returns(bench, made):
     assert told.code == 0, told.err
     found = json.loads(told.out)
     rolled = rollout(folder / "run", draws=30)
-    assert found["recordings"]["two"]["position"]["mae"] == rolled.rolled[0].at_position.mae
-    assert found["pooled"]["speed"]["rmse"] == rolled.pooled["at_speed"].rmse
+    assert found["recordings"]["two"]["position"]["mae"] == rolled.rolled[0].errors["position"].mae
+    assert found["pooled"]["speed"]["rmse"] == rolled.pooled["speed"].rmse
     frame = rolled.frame
-    assert frame.loc[("two", "position"), "inside"] == rolled.rolled[0].at_position.inside
+    assert frame.loc[("two", "position"), "inside"] == rolled.rolled[0].errors["position"].inside
     summary = bf.summary(folder / "run")
     assert jsonable(summary.rollout) == found
     page = (folder / "run" / "report.html").read_text()
@@ -157,7 +157,7 @@ def test_other_recordings_are_simulated_by_their_targets(bench, made):
         frame, time="t", position="q", target="goal", kp="4 N m/rad", kd="0.05 N m s/rad", name="x"
     )
     (x,) = rollout(folder / "run", other, draws=30).rolled
-    assert x.at_position.mae == pytest.approx(rows["three"]["position"]["mae"], rel=0.2)
+    assert x.errors["position"].mae == pytest.approx(rows["three"]["position"]["mae"], rel=0.2)
 
 
 def test_part_of_a_fitted_file_is_not_new(made):
@@ -178,7 +178,7 @@ def test_a_measured_torque_is_simulated_in_open_loop(made):
     other = bf.Recording.from_dataframe(frame, time="t", position="q", torque="tau", name="x")
     (x,) = rollout(folder / "run", other, draws=30).rolled
     assert x.input == "torque"
-    assert x.at_position.mae < 0.3
+    assert x.errors["position"].mae < 0.3
 
 
 def test_narrow_bands_are_reported_where_a_torque_is_missing(made, joint, tmp_path):
@@ -203,12 +203,14 @@ def test_bands_wider_than_the_motion_are_reported(made):
     span = np.ptp(two.position[fine])
     assert two.room == pytest.approx(span)
     assert span < np.pi
-    assert two.at_position.width == pytest.approx(np.median((two.band[1] - two.band[0])[fine]))
+    assert two.errors["position"].width == pytest.approx(
+        np.median((two.band[1] - two.band[0])[fine])
+    )
     assert not two.wide
     told = played.summary
     assert "wide bands" not in roll_out_messages(told)
     # at what half of all bands are wider than
-    small = replace(two, room=two.at_position.width, blind=0.5)
+    small = replace(two, room=two.errors["position"].width, blind=0.5)
     told = replace(played, rolled=(small,)).summary
     assert roll_out_messages(told)["wide bands"] == {"wide": ["two"]}
 
@@ -246,7 +248,7 @@ def test_draws_that_go_another_way_over_the_top_are_left_out_of_bands(made, join
             assert x.wide == (lost == 30)
         if chain is joint and lost <= 3:
             # 90 % of a normal is 3.3 sds wide; a quantile's own sd is 0.2 of them at 100 draws
-            assert x.at_position.width == pytest.approx(0.33, abs=4 * 0.03)
+            assert x.errors["position"].width == pytest.approx(0.33, abs=4 * 0.03)
             ends = (x.band[1] - x.band[0])[np.isfinite(x.band[0])]
             assert np.ptp(ends) < 1e-9
 
@@ -256,8 +258,12 @@ def test_recordings_with_wide_bands_decide_nothing(made):
     _, found = made
     played = rollout(found, draws=30)
     (one,) = played.rolled
-    wide = replace(one, name="wide", over=0.5, at_position=replace(one.at_position, inside=1.0))
-    left = replace(one, name="left", at_position=replace(one.at_position, inside=0.67))
+
+    def inside(share):
+        return one.errors | {"position": replace(one.errors["position"], inside=share)}
+
+    wide = replace(one, name="wide", over=0.5, errors=inside(1.0))
+    left = replace(one, name="left", errors=inside(0.67))
     doubt = roll_out_messages(replace(played, rolled=(wide, left)).summary)["roll-out"]
     assert doubt["inside"] == pytest.approx(0.67)
     assert doubt["narrow"] == ["left"]

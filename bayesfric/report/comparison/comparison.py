@@ -119,9 +119,9 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             quantity.cells[column.label] = cell
         results[run] = {cell.name for _, cell in cells if cell.status != "known"}
     # of two, the second is the one out of place
-    for run, own in reversed(results.items()):
+    for run, names in reversed(results.items()):
         others = [theirs for other, theirs in results.items() if other != run]
-        if others and own.isdisjoint(set[str]().union(*others)):
+        if others and names.isdisjoint(set[str]().union(*others)):
             problem = "has no quantity in common with the other runs"
             raise BadInput(run, problem, "compare runs whose mechanisms share elements")
     every = set[str]().union(*results.values())
@@ -140,8 +140,8 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     for run, summary in runs.items():
         if summary.sampler.status != "reliable":
             notes.append(_note("unsure run", run=run, status=summary.sampler.status))
-    if names := [quantity.name for quantity in compared if quantity.of_motion]:
-        notes.append(_note("of motion", names=names, several=len(runs) > 1))
+    if moving := [quantity.name for quantity in compared if quantity.of_motion]:
+        notes.append(_note("of motion", names=moving, several=len(runs) > 1))
     for column in columns:
         far = _far(compared, column, baseline)
         if far and column.kind == "estimate":

@@ -179,7 +179,9 @@ def rollout_figure(rollout: RollOut) -> Figure:
 
     Of many recordings those furthest inside and furthest outside their bands, and one between.
     """
-    ranked = sorted(rollout.rolled, key=lambda x: (-x.at_position.inside, x.at_position.mae))
+    ranked = sorted(
+        rollout.rolled, key=lambda x: (-x.errors["position"].inside, x.errors["position"].mae)
+    )
     places = np.unique(np.linspace(0, len(ranked) - 1, min(MOST, len(ranked))).round().astype(int))
     with style.paper_figure(style.COLUMN, 0.35 + 1.35 * len(places)) as figure:
         axes = np.atleast_1d(figure.subplots(len(places), 1))
@@ -192,7 +194,7 @@ def rollout_figure(rollout: RollOut) -> Figure:
             line: Look = {"color": style.PALETTE[2], "linewidth": 0.8, "gid": "measured"} | pixels
             ax.plot(time, recording.position, label="measured", **line)
             ax.set(xlim=(float(time[0]), float(time[-1])), ylabel=f"position ({recording.unit})")
-            share = f"{100 * recording.at_position.inside:.0f} % inside"
+            share = f"{100 * recording.errors['position'].inside:.0f} % inside"
             share += " a band too wide to judge" if recording.wide else ""
             title = f"{style.shortened(recording.name)}: {share}"
             ax.set_title(title, fontsize=style.SMALL, pad=2.5)
