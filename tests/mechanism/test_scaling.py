@@ -101,6 +101,14 @@ def test_a_passive_gearbox_ends_it_at_one_over_alpha(name, seed):
     assert scaling.scaled(values, low / 1.001)[back] < 0.0
 
 
+def test_table_3_leaves_the_factor_between_0_71_and_1_35():
+    chain = KNEE.chain()
+    (scaling,) = scalings(chain)
+    low, high = scaling.bounds(chain.vector(KNEE.values))
+    assert (low, high) == pytest.approx((1 / 1.408, 1 / 0.7432), rel=1e-12)
+    assert (round(low, 2), round(high, 2)) == (0.71, 1.35)
+
+
 def test_a_scaling_reaches_what_it_says_and_its_tangent_is_its_derivative():
     chain = KNEE.chain()
     values = chain.vector(KNEE.values)
