@@ -171,7 +171,7 @@ def test_segments_of_a_long_log_are_fitted(here, timed, span):
         np.testing.assert_allclose(values, expected[at], atol=1e-9)
     # added columns are at the stamps of their rows
     table = reduced.recording(joint, np.sin(full.time)[None, at]).table
-    stamps = table.column("time [s]" if timed else "time")
+    stamps = table.column("time [s]" if timed else "stamps in s")
     rows = stamps >= reduced.time[0]
     added = table.column("urdf_torque")
     np.testing.assert_allclose(added[rows], np.sin(stamps[rows]), atol=1e-9)

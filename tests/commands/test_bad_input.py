@@ -20,7 +20,7 @@ VOLTAGE = '{column = 3, unit = "V", torque_constant = "1 N m/A", resistance = "3
         ("missing file", '"run.csv"', '"ran.csv"', ["ran.csv"]),
         ("pattern", '"run.csv"', '"runs/*.csv"', ["recordings.1", "'runs/*.csv'"]),
         ("folder", '"run.csv"', '"."', ["is a folder"]),
-        ("suffix", '"run.csv"', '"c.toml"', ["'.toml'"]),
+        ("no table", '"run.csv"', '"c.toml"', ["line", "delimiter"]),
         ("unit of another kind", '"rad"', '"kg"', ["run.csv", "'q'", "'kg'"]),
         ("linear speed", "order = 4", 'dead_zone = "5 m/s"', ["dead_zone", "'5 m/s'"]),
         ("slides", "preset", 'motion = "linear"\npreset', ["'q'", "'rad'"]),
@@ -55,7 +55,7 @@ VOLTAGE = '{column = 3, unit = "V", torque_constant = "1 N m/A", resistance = "3
 def test_configuration(bench, old, new, parts):
     bench.edit(old, new)
     message = bench.refused()
-    files = ("c.toml:", "run.csv", "ran.csv:", ".:")
+    files = ("c.toml", "run.csv", "ran.csv:", ".:")
     assert message.startswith(tuple(f"bayesfric: {file}" for file in files))
     has(message, *parts)
 

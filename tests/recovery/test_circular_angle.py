@@ -155,4 +155,4 @@ def test_runs_on_either_side_of_pi_agree(hanging):
     assert abs(cell.disagreement) < 1.0
     assert cell.interval[0] < cell.value < cell.interval[1]
     pooled = between_runs({k: Summary.read(v, k) for k, v in (("a", here), ("b", there))})
-    assert {q.name: q for q in pooled}[ANGLE].pool.agree
+    assert {line["name"]: line for line in pooled}[ANGLE]["agree"]

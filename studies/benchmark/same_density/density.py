@@ -65,14 +65,14 @@ class Reduced:
         linear = linear_torque(chain, [signals])
         assert linear is not None
         values = draws[:, : len(target.free)]
-        region = SignRegion.around(linear.coefficients(values).leg, linear.typical_size())
+        region = SignRegion.around(linear.coefficients(values)[1], linear.typical_size())
         assert region is not None
         moments = moment_matrices(linear, signals, 0, region, RADIUS)
         form, weights = moments.forms[0], moments.weights[:, 0]
         index = {name: i for i, name in enumerate(target.free)}
         # without load-dependent friction, -c is front plus behind, and leg is behind
-        units = linear.coefficients(np.eye(len(index)) * (1.0 - _losses(index)))
-        size = units.leg.shape[1]
+        units, leg, _, _ = linear.coefficients(np.eye(len(index)) * (1.0 - _losses(index)))
+        size = leg.shape[1]
         # one draw and its coordinates determine the torque per unit of each parameter
         u = target.from_parameters(draws[:1])
         totals, shares = u[0, :4], u[0, 4:8]
@@ -92,8 +92,8 @@ class Reduced:
             moment=(moment_index, float(u[0, 8] / (a * draws[0, moment_index]))),
             losses=(index["gearbox.load_drive"], index["gearbox.load_back"]),
             prior=np.stack([np.log(medians), np.full(medians.size, prior_sd)], axis=1),
-            front=-units.all[:, 1 : 1 + size] - units.leg,
-            behind=units.leg,
+            front=-units[:, 1 : 1 + size] - leg,
+            behind=leg,
             centre=np.linalg.solve(region.root, region.centre),
             whiten=np.linalg.inv(region.root),
             to_columns=moments.to_columns,
