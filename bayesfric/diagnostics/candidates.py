@@ -151,10 +151,7 @@ def _inertia_by_angle(m: MotionSignals) -> Sets:
 
 def _waves(m: MotionSignals, factor: Array | float = 1.0) -> Sets:
     """Return sine and cosine of the position, times a factor: cogging, or a gearbox's waves."""
-    return {
-        name: [factor * np.sin(k * m.o.q), factor * np.cos(k * m.o.q)]
-        for name, k in m.scales.cycles.items()
-    }
+    return {name: [factor * wave for wave in pair] for name, pair in m.waves.items()}
 
 
 def _friction_by_angle(m: MotionSignals) -> Sets:

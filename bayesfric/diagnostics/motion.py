@@ -134,6 +134,12 @@ class MotionSignals:
         return self.rate(self.smooth(self.torque))
 
     @cached_property
+    def waves(self) -> dict[str, tuple[Array, Array]]:
+        """Sine and cosine of the position in turns of motor and joint."""
+        angles = {name: k * self.o.q for name, k in self.scales.cycles.items()}
+        return {name: (np.sin(angle), np.cos(angle)) for name, angle in angles.items()}
+
+    @cached_property
     def direction(self) -> Array:
         """Sign of the speed."""
         return np.sign(self.o.qd)

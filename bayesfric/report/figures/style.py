@@ -19,7 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.mathtext import MathTextParser
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -200,7 +200,15 @@ def remark_below(figure: Figure, words: str) -> None:
     figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
+class _PlainNumbers(ScalarFormatter):
+    """Keep to mathtext for the power of ten only: parsing each number takes a second a page."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return super().__call__(x, pos).removeprefix(r"$\mathdefault{").removesuffix("}$")
+
+
 def few_ticks(axis: Axis, max_count: int, *, inner: bool = False) -> None:
     """Put at most ``max_count`` numbers on an axis, away from its ends for panels that touch."""
     prune = "both" if inner else None
+    axis.set_major_formatter(_PlainNumbers())
     axis.set_major_locator(MaxNLocator(max_count, steps=[1, 2, 5, 10], min_n_ticks=2, prune=prune))
