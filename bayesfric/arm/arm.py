@@ -160,7 +160,8 @@ class Arm:
 
     def _layout(self, path: Path, effort_unit: str | None) -> tuple[Layout, str]:
         """Take the columns from the options, or recognise them in a log; say what is assumed."""
-        recording, labels, assumed = self.options.recording, dict[str, str](), ""
+        recording, assumed = self.options.recording, ""
+        labels: Mapping[str, str] = {}
         if "position" not in recording:
             layout = {key: recording[key] for key in TableOptions.model_fields if key in recording}
             recognised, labels = layout_of(path, self.bodies.joints, layout)
