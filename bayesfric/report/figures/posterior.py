@@ -54,7 +54,7 @@ def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | No
         figure = Figure(figsize=(style.PAGE, style.PAGE))
         grid = figure.add_gridspec(number, number)
         figure.subplots_adjust(0.1, 0.12, 0.99, 0.99, wspace=0.08, hspace=0.08)
-        for k, other in combinations_with_replacement(reversed(range(number)), 2):
+        for other, k in combinations_with_replacement(range(number), 2):
             ax = figure.add_subplot(grid[k, other])
             if k == other:
                 _marginal(ax, limits[k], *shown[k])
