@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array, Flags, Index
 
 # possessive, so that it fails at the first wrong character
@@ -237,6 +238,9 @@ class Table:
         note = f"repeats: {int(again.sum())} of {again.size + 1} rows repeat the one before"
         return replace(self.at(rows, again.size + 1), notes=(*self.notes, f"{note}, left out"))
 
+    def _unit(self, key: str | int) -> str:
+        return self.units[self.place(key)[0]] if self.units else ""
+
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""
         return self.clocks.get(self.names[self.place(key)[0]])
@@ -271,7 +275,8 @@ class Table:
             present, time = ~self.holes(key), stamps
             own = self.clock(key) if clock in self.clocks.values() else None
             if own not in (None, clock):
-                time = self.stamps(own)
+                scales = (units.scale([self._unit(x) or "s"], "time") for x in (own, clock))
+                time = self.stamps(own) * next(scales) / next(scales)
             if present.size != time.size:
                 problem = f"has {present.size} values, column '{first}' has {time.size}"
                 raise BadInput(self.label(key), problem, "give columns of one length")
