@@ -456,9 +456,8 @@ def _flat(data: Any) -> Any:
     columns = dict[str, Any]()
     for key, value in data.items():
         inner = _flat(value)
-        columns |= (
-            {f"{key}.{k}": v for k, v in inner.items()} if inner is not value else {key: value}
-        )
+        nested = inner is not value
+        columns |= {f"{key}.{k}": v for k, v in inner.items()} if nested else {key: value}
     return columns
 
 
@@ -501,7 +500,9 @@ def _from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) 
             problem = f"is no list of {width} values, as row 1 is"
             raise BadInput(f"{path}, row {k + 1}", problem, "cut it out")
         return Table(str(path), [""] * width, lambda i: _cells([x[i] for x in rows]), by_rows=True)
-    rows = [_flat(row) for row in rows]
+    # where only a later row holds an object, its cell is wrong
+    if isinstance(rows[0], dict) and any(isinstance(value, dict) for value in rows[0].values()):
+        rows = [*map(_flat, rows)]
     names = list(dict.fromkeys(key for row in rows if isinstance(row, dict) for key in row))
 
     def load(index: int) -> NDArray[Any]:

@@ -161,9 +161,7 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         fitting = _of_joint(named_so, label)
         if channel == "time":  # what else its name has is of a computer, not of a joint
             clocks = _clocks(named_so)
-            own = next(
-                (table.clock(column) for column, _ in chosen.values() if column != OPEN), None
-            )
+            own = next((table.clock(c) for c, _ in chosen.values() if c != OPEN), None)
             fitting = [s for s in clocks if s[0] == own] or _of_joint(clocks, label) or clocks
         if fitting:
             column, values, name = fitting[0]
@@ -245,11 +243,11 @@ def with_clocks(table: Table) -> Table:
 
 
 def _as_one(time: Array, other: Array) -> bool:
-    """Whether stamps in s are the same, or of other epochs, by which nothing can be paired."""
-    apart = time[-1] < other[0] or other[-1] < time[0]
-    step = float(np.median(np.diff(time)))
-    same = time.size == other.size and bool(np.all(np.abs(time - other) < 0.5 * step))
-    return bool(apart) or same
+    """Whether stamps are the same, or of other epochs, by which nothing can be paired."""
+    if time[-1] < other[0] or other[-1] < time[0]:
+        return True
+    half = 0.5 * float(np.median(np.diff(time)))
+    return time.size == other.size and bool(np.all(np.abs(time - other) < half))
 
 
 def _place(name: str, grouped: bool) -> set[str]:

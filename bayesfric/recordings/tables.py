@@ -238,8 +238,10 @@ class Table:
         note = f"repeats: {int(again.sum())} of {again.size + 1} rows repeat the one before"
         return replace(self.at(rows, again.size + 1), notes=(*self.notes, f"{note}, left out"))
 
-    def _unit(self, key: str | int) -> str:
-        return self.units[self.place(key)[0]] if self.units else ""
+    def _seconds(self, clock: str | int) -> float:
+        """Return the unit of time stamps, as in the file."""
+        unit = self.units[self.place(clock)[0]] if self.units else ""
+        return units.scale([unit or "s"], "time")
 
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""
@@ -274,9 +276,8 @@ class Table:
         for key in keys:
             present, time = ~self.holes(key), stamps
             own = self.clock(key) if clock in self.clocks.values() else None
-            if own not in (None, clock):
-                scales = (units.scale([self._unit(x) or "s"], "time") for x in (own, clock))
-                time = self.stamps(own) * next(scales) / next(scales)
+            if own is not None and clock is not None and own != clock:
+                time = self.stamps(own) * (self._seconds(own) / self._seconds(clock))
             if present.size != time.size:
                 problem = f"has {present.size} values, column '{first}' has {time.size}"
                 raise BadInput(self.label(key), problem, "give columns of one length")
