@@ -36,12 +36,12 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"
 
 
-# Files that take too long for each commit: they sample, draw or start processes.
+# Files that take too long for each commit: they sample, search, draw or start processes.
 LONG = {
     "": """
         face own_term""",
     "arm": """
-        arm""",
+        arm arm_rollout excitation joint_consistency""",
     "commands": """
         doubts estimate explain fit identify runs""",
     "diagnostics": """

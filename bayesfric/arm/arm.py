@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.arm.arm_log import ArmLog, layout_of, signals
+from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, UrdfJoint, directions, resolution
@@ -33,6 +33,7 @@ from bayesfric.problem.config import (
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.readers import TableOptions
+from bayesfric.recordings.source import SI
 from bayesfric.recordings.units import OPEN
 
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
@@ -79,6 +80,7 @@ class Arm:
         log: Path | str | Sequence[Path | str],
         *,
         predict: Path | str | None = None,
+        effort_unit: str | None = None,
         seed: int | None = None,
         progress: bool | ProgressCallback = False,
     ) -> FittedArm:
@@ -90,6 +92,8 @@ class Arm:
             A log that holds the positions of all joints; or several with the same columns.
         predict
             A log of another motion, with the same columns; its torque is predicted, not fitted.
+        effort_unit
+            Unit of the efforts, where no log names it; N m (N of a sliding joint) if left out.
         seed
             Of the random numbers.
         progress
@@ -103,7 +107,7 @@ class Arm:
         options, bodies = self.options, self.bodies
         paths = [Path(path) for path in ([log] if isinstance(log, Path | str) else log)]
         fitted_count = len(paths)
-        layout = self._layout(paths[0])
+        layout, assumed = self._layout(paths[0], effort_unit)
         paths += [] if predict is None else [Path(predict)]
         names = [path.stem for path in paths]
         if len(set(names)) < len(names):
@@ -152,21 +156,31 @@ class Arm:
         if all(joint.result is None for joint in fitted.values()):
             failures = "; ".join(f"{name}: {joint.failure}" for name, joint in fitted.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return FittedArm.combined(bodies, logs, fitted, prior, seed)
+        return FittedArm.combined(bodies, logs, fitted, prior, seed, assumed)
 
-    def _layout(self, path: Path) -> tuple[Mapping[str, Any], Mapping[str, str]]:
-        """Take the columns from the options, or recognise them in a log."""
-        recording = self.options.recording
-        if "position" in recording:
-            return recording, {}
-        layout = {key: recording[key] for key in TableOptions.model_fields if key in recording}
-        recognised, labels = layout_of(path, self.bodies.joints, layout)
-        recording = {**recognised, **recording}
+    def _layout(self, path: Path, effort_unit: str | None) -> tuple[Layout, str]:
+        """Take the columns from the options, or recognise them in a log; say what is assumed."""
+        recording, assumed = self.options.recording, ""
+        labels: Mapping[str, str] = {}
+        if "position" not in recording:
+            layout = {key: recording[key] for key in TableOptions.model_fields if key in recording}
+            recognised, labels = layout_of(path, self.bodies.joints, layout)
+            recording = {**recognised, **recording}
+        torque = recording.get("torque", {})
+        if effort_unit is not None and not torque:
+            raise BadInput("--effort-unit", "the log has no efforts", "name their column 'effort'")
+        if effort_unit is not None or torque.get("unit") == OPEN:
+            recording = {**recording, "torque": {**torque, "unit": effort_unit or SI}}
+        if effort_unit is None and torque.get("unit") == OPEN:
+            assumed = (
+                f"Efforts ({torque['column']}) are taken as N m, as the log names no unit; "
+                "else --effort-unit, or in A [recording] current with its torque_constant"
+            )
         if OPEN in str(recording):
             problem = f"not all units are known: {toml_value(recording)}"
             hint = "write them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
             raise BadInput(str(path), problem, hint)
-        return recording, labels
+        return (recording, labels), assumed
 
     def _joint_options(self, name: str) -> JointOptions:
         return self.options.joints.get(name, JointOptions())

@@ -220,6 +220,7 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
     consistency: JointConsistency
+    assumed: str = ""  # about units that the log does not have
 
     @classmethod
     def combined(
@@ -229,6 +230,7 @@ class FittedArm:
         joints: Mapping[str, FittedJoint],
         prior: InertialPrior,
         seed: int | None,
+        assumed: str = "",
     ) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
         rng, updated = np.random.default_rng(seed), dict(joints)
@@ -237,7 +239,7 @@ class FittedArm:
         consistency = combine_joints(prior, likelihoods, rng)
         for name, joint in fitted.items():
             updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency)
+        return cls(bodies, (*logs,), updated, prior, consistency, assumed)
 
     @property
     def urdf(self) -> Path:
@@ -312,6 +314,7 @@ class FittedArm:
             "bayesfric": __version__,
             "urdf": str(self.urdf),
             "logs": [str(log.path) for log in self.logs],
+            "assumed": self.assumed,
             "samples": self.samples,
             "bodies": self.inertial_estimate,
             "joints": {name: joint.as_json() for name, joint in self.joints.items()},
@@ -328,7 +331,8 @@ class FittedArm:
         messages, limit = self.messages, max(height - len(table), 1)
         if hidden := max(len(messages) - limit, 0):
             messages = [*messages[: limit - 1], f"and {hidden + 1} lines more in arm.html"]
-        return [line.rstrip() for line in (*table, *messages)]
+        first = [self.assumed] if self.assumed else []
+        return [line.rstrip() for line in (*first, *table, *messages)]
 
     def write(self, folder: Path | str, *, full: bool = False) -> Path:
         """Write run directories, ``arm.json`` and the page ``arm.html``, whose path is returned.

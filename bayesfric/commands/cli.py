@@ -309,6 +309,7 @@ def arm(
     output: Path | None = Option(None, *OUTPUT, help="folder to make; LOG-arm if left out"),
     config: Path | None = Option(None, "--config", metavar="arm.toml", help="what else is known"),
     predict: Path | None = Option(None, metavar="LOG", help="another motion, to be predicted"),
+    effort_unit: str | None = Option(None, metavar="UNIT", help="of efforts; N m if left out"),
     full: bool = Option(False, "--full", help="figures, tables and page of each joint"),
     to_files: bool = Option(False, "--export", help="as URDF, MJCF, ros2_control and Python"),
     roll_out: float | None = Option(
@@ -333,7 +334,9 @@ def arm(
     check_output_folder(folder, force=None)
     with _progress() as progress:
         fitter = Arm(urdf, {} if config is None else config)
-        result = fitter.fit(log, predict=predict, seed=seed, progress=progress)
+        result = fitter.fit(
+            log, predict=predict, effort_unit=effort_unit, seed=seed, progress=progress
+        )
         # further requests may be refused; the fit is kept
         page, lines, numbers = result.write(folder, full=full), result.text(), result.as_json()
         if to_files:

@@ -822,7 +822,8 @@ def _read_wpilog(path: Path, options: TableOptions) -> Table:
 _STAMP, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
 # Units by message definition, by the beginning of a column's name.
 _UNITS = {
-    "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
+    # an effort is in N m, or in A, as its driver has it
+    "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s"},
     "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
 }
 # Message types without measurements.

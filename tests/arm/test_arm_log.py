@@ -64,3 +64,22 @@ def test_holes_and_own_time_stamps_change_no_motion(arm, tmp_path):
                 (read.torque, np.cos((3.0 + k) * at)),
             ):
                 np.testing.assert_allclose(values[~near], exact, atol=5.1e-5)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [(None, 1.0), ("mN m", 1e-3)])
+def test_efforts_without_a_unit_are_in_the_unit_that_is_given(arm, tmp_path, unit, factor):
+    """N m is assumed, and said; a given unit is taken without a word."""
+    time = 0.005 * np.arange(800)
+    columns = {"time [s]": time}
+    for joint in (SHOULDER, ELBOW):
+        columns[f"{joint} position [rad]"] = np.sin(2.0 * time)
+        columns[f"{joint} effort"] = np.cos(3.0 * time)
+    path = tmp_path / "log.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    layout, assumed = arm._layout(path, unit)
+    assert bool(assumed) == (unit is None)
+    joints = arm.bodies.joints
+    log = ArmLog(path, "log", arm.options, layout, joints, 10_000)
+    for each in joints.values():
+        read = log.measured(each)
+        np.testing.assert_allclose(read.torque, factor * np.cos(3.0 * read.time), atol=1e-9)

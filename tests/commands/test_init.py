@@ -224,6 +224,17 @@ def test_the_first_of_several_joints(bench):
     has(bench.refused("init", "--from", "log.jsonl", "--joint", "7"), "--joint 7", "0, 1")
 
 
+def test_efforts_of_ros_have_no_unit(bench):
+    """Drivers write N m or A: the key is open, and a current can take its place."""
+    logs.write_ros2(bench.folder / "bag", logs.joint_states(*logs.numbers()))
+    text, _ = drafted(bench, "bag")
+    recording = tomllib.loads(text)["recordings"][0]
+    assert recording["torque"]["unit"] == "?"
+    assert recording["position"]["unit"] == "rad"
+    has(text, 'unit = "A"', recording["torque"]["column"])
+    check_completed(bench, text)
+
+
 def test_every_column_is_described(bench):
     """Its range and holes, what it is taken as, or why it is not: in JSON and on the terminal."""
     table = pd.DataFrame({"t_s": T, "q_rad": Q, "target_q": Q, "tau_Nm": TAU, "flag": "on"})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from scipy.ndimage import gaussian_filter
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.priors import Prior
@@ -41,64 +39,51 @@ def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | No
     What the data leave open is hatched, without an interval, and its pairs are not filled. Where
     they leave parameters open, combinations that they determine come first.
     """
+    import corner  # brings ArviZ along, which takes a second or more
+
     # what never moved has no histogram
     moved = [x for x in choice(fit.wide, summary) if np.ptp(x[1]) > 1e-12 * abs(x[1]).max()]
     if not (shown := moved[:max_count]):
         return None
     number, is_open = len(shown), [row.status == "unidentified" for row, *_ in shown]
-    limits = [_limits(*x[1:]) for x in shown]
-    # on two lines: a panel is hardly wider than a unit
-    labels = [style.axis_label(r.symbol, r.name, r.unit, "\n") for r, *_ in shown]
-    away = -0.057 * number  # of labels, in heights of a panel
     with style.paper_style():
         figure = Figure(figsize=(style.PAGE, style.PAGE))
-        grid = figure.add_gridspec(number, number)
+        corner.corner(
+            np.stack([draws for _, draws, _ in shown], axis=1),
+            fig=figure, range=[_limits(*x[1:]) for x in shown], bins=40, color=style.POSTERIOR,
+            # on two lines: a panel is hardly wider than a unit
+            labels=[style.axis_label(r.symbol, r.name, r.unit, "\n") for r, *_ in shown],
+            label_kwargs={"fontsize": style.SMALL, "linespacing": 1.3}, use_math_text=True,
+            # in bins: closed contours from some thousand draws, hardly wider
+            smooth=1.2, levels=MASSES, fill_contours=True, plot_datapoints=False,
+            plot_density=False, contour_kwargs={"linewidths": (0.6, 0.9)},
+            hist_kwargs={"density": True, "linewidth": 0.8}, quiet=True,
+        )  # fmt: skip
         figure.subplots_adjust(0.1, 0.12, 0.99, 0.99, wspace=0.08, hspace=0.08)
-        for k, other in combinations_with_replacement(reversed(range(number)), 2):
-            ax = figure.add_subplot(grid[k, other])
-            if k == other:
-                _marginal(ax, limits[k], *shown[k])
-            else:
-                filled = not (is_open[k] or is_open[other])
-                pair = (shown[other][1], shown[k][1])
-                _contours(ax, *pair, (limits[other], limits[k]), filled=filled)
-            style.few_ticks(ax.xaxis, 3, inner=True)
+        away = -0.057 * number  # of labels, in heights of a panel
+        axes = np.array(figure.axes).reshape(number, number)
+        for k, quantity in enumerate(shown):
+            _marginal(axes[k, k], *quantity)
+            style.few_ticks(axes[-1, k].xaxis, 3, inner=True)
             # upright: neighbours leave a number no room
-            ax.tick_params(axis="x", labelrotation=90, labelbottom=k == number - 1)
-            ax.tick_params(axis="y", labelleft=other == 0)
-            if k == number - 1:
-                ax.set_xlabel(labels[other], fontsize=style.SMALL, linespacing=1.3)
-                ax.xaxis.set_label_coords(0.5, away)
-                _power_in_label(ax.xaxis)
-            if other == 0 < k:
-                ax.set_ylabel(labels[k], fontsize=style.SMALL, linespacing=1.3)
-                ax.yaxis.set_label_coords(away, 0.5)
-                _power_in_label(ax.yaxis)
+            axes[-1, k].tick_params(axis="x", labelrotation=90)
+            axes[-1, k].xaxis.set_label_coords(0.5, away)
+            _power_in_label(axes[-1, k].xaxis)
+            if k:
+                style.few_ticks(axes[k, 0].yaxis, 3, inner=True)
+                axes[k, 0].tick_params(axis="y", labelrotation=0)
+                axes[k, 0].yaxis.set_label_coords(away, 0.5)
+                _power_in_label(axes[k, 0].yaxis)
+            for other in range(k):
+                if is_open[k] or is_open[other]:
+                    for contours in axes[k, other].collections:
+                        contours.set_visible(not getattr(contours, "filled", False))
         # in the empty upper triangle
         share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
         contours = Line2D([], [], color=style.POSTERIOR, label=f"around {share} % of the draws")
         handles = [*style.labelled(figure), contours]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
     return figure
-
-
-def _contours(ax: Axes, x: Array, y: Array, limits: Any, *, filled: bool, bins: int = 40) -> None:
-    """Draw the contours around shares of the draws ``(n,)`` of a pair."""
-    counts, *edges = np.histogram2d(x, y, bins, limits)
-    # closed contours from some thousand draws, hardly wider
-    density = gaussian_filter(counts, 1.2)
-    heights = np.sort(density, axis=None)[::-1]
-    inside = np.cumsum(heights) / heights.sum()
-    levels = np.unique(heights[np.searchsorted(inside, MASSES)])
-    # contours close outside of the panel
-    around = np.pad(np.pad(density, 1, "edge"), 1).T
-    centres = [e[0] + (np.arange(-2, bins + 2) + 0.5) * (e[1] - e[0]) for e in edges]
-    if filled:
-        shades = [(style.POSTERIOR, share) for share in (1 / 3, 2 / 3)]
-        ax.contourf(*centres, around, [*levels, 1.001 * heights[0]], colors=shades)
-    ax.contour(*centres, around, levels, colors=style.POSTERIOR, linewidths=(0.6, 0.9))
-    ax.set(xlim=limits[0], ylim=limits[1])
-    style.few_ticks(ax.yaxis, 3, inner=True)
 
 
 def _power_in_label(axis: Axis) -> None:
@@ -136,15 +121,12 @@ def _limits(draws: Array, prior: Prior | None) -> tuple[float, float]:
     return max(low - margin, min(lower, low)), min(high + margin, max(upper, high))
 
 
-def _marginal(
-    ax: Axes, limits: tuple[float, float], row: ResultRow, draws: Array, prior: Prior | None
-) -> None:
+def _marginal(ax: Axes, row: ResultRow, draws: Array, prior: Prior | None) -> None:
     """Fill a posterior density and draw the prior over it."""
-    low, high = limits
+    low, high = _limits(draws, prior)
     density, edges = np.histogram(draws, 40, (low, high), density=True)
     look = _OPEN if row.status == "unidentified" else _KNOWN
     ax.stairs(density, edges, fill=True, linewidth=0.0, **look)
-    ax.stairs(density, edges, color=style.POSTERIOR, linewidth=0.8)
     if prior is not None:
         grid = np.linspace(low, high, 301)
         line: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "gid": "prior"}
@@ -152,7 +134,7 @@ def _marginal(
     for end in [row.limit] if row.limit is not None else row.interval or ():
         line = {"color": style.POSTERIOR, "linewidth": 0.7, "linestyle": style.DOTTED}
         ax.axvline(end, ymax=0.8, label=f"{100 * LEVEL:.0f} % interval", gid="interval", **line)
-    ax.set(xlim=(low, high), ylim=(0.0, 1.12 * density.max()), yticks=())
+    ax.set(xlim=(low, high), ylim=(0.0, 1.12 * density.max()))
 
 
 def ridge(fit: Fit) -> tuple[Scaling, tuple[float, float], Array] | None:
