@@ -220,7 +220,10 @@ class Table:
             hint = "cut the repeated rows out, or record time with finer resolution"
             raise BadInput(where, problem, hint)
         problem = f"goes back in time, from {time[index - 1]:.9g} to {time[index]:.9g}"
-        raise BadInput(where, problem, "sort the rows by time, or split the file there")
+        # a clock that was set back is in order before and after
+        set_back = np.count_nonzero(time < np.maximum.accumulate(time)) > 3 * wrong.sum()
+        hint = "split the file there" if set_back else "sort the rows by time"
+        raise BadInput(where, problem, hint)
 
     def without_repeats(self, keys: Sequence[str | int], clock: str | int) -> Table:
         """Leave out rows that repeat the time stamp and all values of the row before."""

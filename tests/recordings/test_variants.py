@@ -549,3 +549,104 @@ def test_a_velocity_that_differs_in_factor_and_lateness(number):
     (printed,) = re.findall(r"is ([-\d.]+) times the differentiated", said)
     assert float(printed) == pytest.approx(factor, rel=0.02)
     assert ("after the " in said or "before the " in said) == bool(late)
+
+
+@VARIANTS
+def test_a_counter_that_wraps_at_any_number(number):
+    """At 10 to 50 thousand, or a turn of another gear than its unit says; or it only jumps."""
+    rng = np.random.default_rng([11, number])
+    t = np.arange(0.0, 12.0, 1.0 / rng.uniform(200.0, 1000.0))
+    size = float(rng.choice([10000, 20000, 36000, 50000, 360.0, 400.0]))
+    truth = 0.4 * size * (angle(t) * rng.uniform(2.0, 4.0) + rng.random())
+    truth = np.round(truth) if number % 2 else truth
+    values = truth % size
+    unit = f"turn/{rng.choice([1.7, 3.0, 4.0]) * size}"
+    columns = {"t": t, "q": values, "tau": drive(t)}
+    keys = {"time": "t", "position": {"column": "q", "unit": unit}, "torque": "tau"}
+    recording, said = noted(lambda: configured(shuffled(rng, columns), **keys))
+    assert f"jumps by {size:.6g} counts" in said
+    raw = recording.position / units.scale([unit], "angle")
+    np.testing.assert_allclose(raw - raw[0], truth - truth[0], atol=1e-6 * size)
+    moved = truth + np.where(t > 6.0, 5.0 * np.ptp(truth), 0.0)
+    columns["q"] = moved
+    recording, said = noted(lambda: configured(shuffled(rng, columns), **keys))
+    assert "in 1 rows" in said
+    raw = recording.position / units.scale([unit], "angle")
+    np.testing.assert_allclose(raw, moved, rtol=1e-9, atol=1e-9)
+
+
+@VARIANTS
+def test_a_sign_bit_of_a_large_torque_and_a_magnitude(number):
+    rng = np.random.default_rng([12, number])
+    t = np.arange(0.0, 12.0, 1.0 / rng.uniform(200.0, 500.0))
+    torque = (drive(t) + np.sign(speed(t))) / 6.0
+    bit = int(rng.choice([10, 12, 15]))
+    raw = np.round(torque * rng.uniform(0.2, 0.95) * 2.0**bit + rng.normal(0.0, 2.0, t.size))
+    full = 2.0 ** (bit + 1)
+    key = f"twos_complement = {bit + 1}" if number % 2 else f"sign_bit = {bit}"
+    coded = np.where(raw < 0.0, raw + full if number % 2 else full / 2.0 - raw, raw)
+    keys = {"time": "t", "position": "q", "torque": "tau"}
+
+    def said(values):
+        return noted(
+            lambda: configured(shuffled(rng, {"t": t, "q": angle(t), "tau": values}), **keys)
+        )[1]
+
+    assert key in said(coded)
+    right = said(raw)
+    assert "magnitude" not in right
+    assert "sign_bit" not in right
+    # a drive that only pulls, against gravity
+    pulls = said(torque - 1.2 * torque.min())
+    assert "magnitude" not in pulls
+    assert "'tau'" in said(np.abs(torque)).split(": never negative")[0]
+
+
+@VARIANTS
+def test_numbers_that_stand_for_failed_reads(number):
+    rng = np.random.default_rng([13, number])
+    t = np.arange(0.0, 12.0, 1.0 / rng.uniform(100.0, 500.0))
+    code = rng.choice([-999.0, 9999.0, 65535.0, -32768.0, -1000.0])
+    lost = rng.random(t.size) < rng.uniform(0.004, 0.05)
+    lost[[5, 200]] = True
+    columns = {"t": t, "q": angle(t), "tau": drive(t)}
+    key = ("q", "tau")[number % 2]
+    columns[key] = np.where(lost, code, columns[key])
+    recording, said = noted(
+        lambda: configured(shuffled(rng, columns), time="t", position="q", torque="tau")
+    )
+    assert f"{code:.6g} between values far from it in {lost.sum()} rows" in said
+    np.testing.assert_allclose(recording.position, angle(recording.time), atol=0.02)
+    np.testing.assert_allclose(recording.torque, drive(recording.time), atol=0.1)
+
+
+@VARIANTS
+def test_a_position_that_is_read_more_slowly(number):
+    """Its rows are interpolated; those of a coarse encoder at a steady speed are not."""
+    rng = np.random.default_rng([14, number])
+    rate, hold = rng.uniform(300.0, 1000.0), int(rng.integers(2, 9))
+    t = np.arange(0.0, 12.0, 1.0 / rate)
+    q = angle(t) if number % 2 else np.round(angle(t), 5)
+    columns = {"t": t, "q": q[np.arange(t.size) // hold * hold], "tau": drive(t)}
+    keys = {"time": "t", "position": "q", "torque": "tau"}
+    recording, said = noted(lambda: configured(shuffled(rng, columns), **keys))
+    assert f"held over {hold} rows" in said
+    inner = slice(0, -2 * hold)
+    error = CURVATURE * (hold / rate) ** 2 / 8.0 + 2e-5
+    np.testing.assert_allclose(recording.position[inner], angle(recording.time)[inner], atol=error)
+    columns["q"] = np.floor(np.arange(t.size) / hold)  # one step of an encoder each
+    assert "held over" not in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
+
+
+@VARIANTS
+def test_a_clock_that_steps_back_is_not_misplaced_rows(number):
+    rng = np.random.default_rng([15, number])
+    t = np.arange(0.0, 6.0, 1.0 / rng.uniform(100.0, 500.0))
+    at = int(rng.integers(200, 400))
+    stamps = t - (np.arange(t.size) >= at) * 0.4
+    keys = {"time": "t", "position": "q", "torque": "tau"}
+    columns = {"t": stamps, "q": angle(t), "tau": drive(t)}
+    assert "split the file" in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
+    columns["t"] = t.copy()
+    columns["t"][[at, at + 1]] = t[[at + 1, at]]
+    assert "sort the rows" in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
