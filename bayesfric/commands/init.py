@@ -228,7 +228,8 @@ def _why_not(row: Mapping[str, Any], meaning: Named, log: Log) -> str:
         return f"of joint {meaning.joint}"
     drives = ("torque", *_CONSTANTS)
     rivals = drives if meaning.channel in drives else (meaning.channel,)
-    taken = next((f"{log.chosen[key][0]} is taken" for key in rivals if key in log.chosen), "")
+    columns = [log.chosen[key][0] for key in rivals if key in log.chosen]
+    taken = "one of several" if OPEN in columns else "".join(f"{x} is taken" for x in columns[:1])
     return taken or ("does not increase" if meaning.channel == "time" else "not of this joint")
 
 

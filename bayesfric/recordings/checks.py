@@ -37,11 +37,13 @@ def clipped(values: Array, signal: str, *, least: float = 0.01, run: int = 4) ->
     share = sum(b - a for end in limits for a, b in runs(values == end) if b - a >= run)
     if share < least * len(values) or len(ends) == 1:  # a constant is an input
         return []
+    if signal == "voltage" and np.unique(values).size < 4:  # switched
+        return []
+    part = "all" if share == len(values) else f"{100 * share / len(values):.2g} % of the"
     return [
         f"{signal}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for "
-        f"{100 * share / len(values):.2g} % of the samples; does the drive or sensor saturate "
-        "there? A drive that gives no more is measured right; of a sensor that shows no more "
-        "leave those seconds out (exclude)"
+        f"{part} samples; does the drive or sensor saturate there? A drive that "
+        "gives no more is measured right; of a sensor leave those seconds out (exclude)"
     ]
 
 
@@ -62,73 +64,120 @@ def whole_numbers(values: Array, *, least: int = 20) -> bool:
 def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, int]:
     """Undo the jumps of a counter ``(n,)``, NaN in holes; returns where it wraps, and their number.
 
-    It wraps at a ``turn``, or whole numbers at 2^8 to 2^32; what covers more is unwrapped already.
+    It wraps at a ``turn``, whole numbers at 2^8 to 2^32, or where it jumps against its motion; what
+    covers more is unwrapped already. Jumps that remain have no modulus (0).
     """
     at = np.flatnonzero(np.isfinite(values))
     steps, rows = np.diff(values[at]), np.diff(at)
-    if not steps.size or np.abs(steps).max() <= 0.5 * np.ptp(values[at]):
+    span = float(np.ptp(values[at])) if at.size else 0.0
+    if not steps.size or np.abs(steps).max() <= 0.5 * span:
         return values, 0.0, 0
     whole = bool(np.all(values[at] == np.round(values[at])))
-    for modulus in [*([turn] if turn else []), *(2.0 ** np.arange(8, 33) if whole else ())]:
+    # a counter jumps against the motion, by a modulus less a step of it
+    is_jump = np.abs(steps) > 0.5 * span
+    usual = float((np.abs(steps) / rows)[~is_jump].max(initial=0.0))
+    inner = np.where(is_jump, np.nan, steps / rows)
+    around = np.nan_to_num([np.append(np.nan, inner[:-1]), np.append(inner[1:], np.nan)]).T
+    motion = around[is_jump].sum(axis=1) / np.maximum((around[is_jump] != 0.0).sum(axis=1), 1)
+    jumped = steps[is_jump]
+    sizes = np.abs(jumped - motion * rows[is_jump])
+    own = max(float(np.median(sizes)), span)
+    # the roundest number that is no further away than a step
+    tens = (10.0**k for k in range(int(np.log10(own)), int(np.log10(own)) - 8, -1))
+    round_ones = (np.ceil(span / ten - 1e-9) * ten for ten in tens)
+    own = next((x for x in round_ones if abs(x - own) <= usual), own)
+    against = np.mean(jumped * motion < 0.0) > 0.75
+    moduli = [*([turn] if turn else []), *(2.0 ** np.arange(8, 33) if whole else ())]
+    for modulus in [*moduli, *([own] if against else [])]:
         jumps = np.abs(steps) > modulus / 2.0
-        if not jumps.any() or np.ptp(values[at]) > modulus * (1.0 + 1e-6):
+        if not jumps.any() or span > modulus * (1.0 + 1e-6):
             continue
         # an undone jump must leave a step as small as the others
         turns = np.round(steps / modulus)
-        usual = float((np.abs(steps) / rows)[~jumps].max(initial=0.0))
-        if np.all((np.abs(steps - modulus * turns) / rows)[jumps] <= 2.0 * usual):
+        largest = float((np.abs(steps) / rows)[~jumps].max(initial=0.0))
+        if np.all((np.abs(steps - modulus * turns) / rows)[jumps] <= 2.0 * largest):
             undone = values.copy()
             undone[at[1:]] -= modulus * np.cumsum(turns)
             return undone, float(modulus), int(np.count_nonzero(jumps))
-    return values, 0.0, 0
+    return values, 0.0, jumped.size if np.abs(jumped).min() > 4.0 * usual else 0
 
 
-def failed_reads(values: Array, most: int | None) -> Flags:
-    """Flag zeros ``(n,)``, up to ``most`` in a row, between values that are far from zero.
+def failed_reads(values: Array, most: int | None) -> tuple[Flags, float]:
+    """Flag rows ``(n,)`` of failed reads, up to ``most`` in a row; returns also their value.
 
-    A bus whose motor gives no reply leaves them. Far is twice the largest of the other steps.
+    A bus whose motor gives no reply leaves zeros between values that are far from zero, or a whole
+    number further from all others than these lie from each other.
     """
-    flags = np.zeros(values.size, dtype=np.bool_)
     at = np.flatnonzero(np.isfinite(values))
-    zeros = [x for x in runs(values[at] == 0.0) if most is None or x[1] - x[0] <= most]
-    if not zeros or not values[at].any():
-        return flags
-    begin, end = np.array(zeros).T
-    # at an end the neighbour on the other side counts twice
-    before = values[at[np.where(begin > 0, begin - 1, end % at.size)]]
-    after = values[at[np.where(end < at.size, end, begin - 1)]]
-    same = before * after > 0.0
-    begin, end, near_by = begin[same], end[same], np.minimum(abs(before), abs(after))[same]
-    steps = np.abs(np.diff(values[at], append=values[at[-1]]))
-    steps[begin - 1] = steps[end - 1] = 0.0
-    far = near_by > 2.0 * steps.max(initial=0.0)
-    for a, b in zip(begin[far].tolist(), end[far].tolist(), strict=True):
-        flags[at[a:b]] = True
-    return flags
+    levels = np.unique(values[at])
+    codes = [0.0]
+    if levels.size > 3:
+        ends = ((levels[0], levels[1:]), (levels[-1], levels[:-1][::-1]))
+        codes += [x for x, rest in ends if abs(x - rest[0]) > np.ptp(rest) and x == np.round(x)]
+    flags = np.zeros(values.size, dtype=np.bool_)
+    for code in codes[::-1]:
+        shifted = values[at] - code
+        failed = [x for x in runs(shifted == 0.0) if most is None or x[1] - x[0] <= most]
+        # one row may be a shock
+        if not failed or not shifted.any() or (code and not 1 < len(failed) < 0.1 * at.size):
+            continue
+        begin, end = np.array(failed).T
+        # at an end the neighbour on the other side counts twice
+        before = shifted[np.where(begin > 0, begin - 1, end % at.size)]
+        after = shifted[np.where(end < at.size, end, begin - 1)]
+        same = before * after > 0.0
+        begin, end, near_by = begin[same], end[same], np.minimum(abs(before), abs(after))[same]
+        steps = np.abs(np.diff(shifted, append=shifted[-1]))
+        steps[begin - 1] = steps[end - 1] = 0.0
+        far = near_by > 2.0 * steps.max(initial=0.0)
+        for a, b in zip(begin[far].tolist(), end[far].tolist(), strict=True):
+            flags[at[a:b]] = True
+        if flags.any():
+            return flags, code
+    return flags, 0.0
 
 
 def check_signs(values: Array, where: str, signal: str) -> None:
-    """Refuse whole numbers in two groups as of a signed number that was recorded as unsigned."""
-    levels = np.unique(values)
-    if levels.size < 3 or levels[0] < 0.0 or np.any(levels != np.round(levels)):
+    """Refuse whole numbers that jump, unless their highest bit is taken as their sign."""
+    highest = float(values.max())
+    if values.min() < 0.0 or highest < 2.0 or np.any(values != np.round(values)):
         return
-    split = int(np.argmax(np.diff(levels)))
-    low, high, highest = levels[split], levels[split + 1], levels[-1]
-    spread = max(low - levels[0], highest - high)
     bits = int(np.log2(highest)) + 1
-    if high - low <= 2.0 * spread or high < 2.0 ** (bits - 1) or low >= 2.0 ** (bits - 1):
+    half = 2.0 ** (bits - 1)
+    negative = values >= half
+    if negative.all():
         return
-    if high - 2.0 ** (bits - 1) <= spread:
-        key = f"sign_bit = {bits - 1}"
-    elif 2.0**bits - highest <= spread:
-        key = f"twos_complement = {bits}"
-    else:
-        return
-    share = 100.0 * float(np.mean(values >= high))
-    problem = (
-        f"the {signal} is {low:.6g} or less, or {high:.6g} and more in {share:.2g} % of the rows"
-    )
-    raise BadInput(where, problem, f"where its sign is a bit, write {key}")
+    low, high = float(values[~negative].max()), float(values[negative].min())
+    spread = max(low - float(values.min()), highest - high)
+    jumps = float(np.sum(np.diff(values) ** 2))
+    for key, decoded, gap in (
+        (f"sign_bit = {bits - 1}", half - values, high - half),
+        (f"twos_complement = {bits}", values - 2.0 * half, 2.0 * half - highest),
+    ):
+        left = float(np.sum(np.diff(np.where(negative, decoded, values)) ** 2))
+        if left < 0.25 * jumps and gap <= spread:
+            problem = f"the {signal} is {low:.6g} or less, or {high:.6g} and more in "
+            problem += f"{100.0 * float(np.mean(negative)):.2g} % of the rows"
+            raise BadInput(where, problem, f"where its sign is a bit, write {key}")
+
+
+def unsigned(values: Array, position: Array, where: str) -> list[str]:
+    """Warn of a magnitude: never negative, back from zero again and again, and without power.
+
+    A drive that pushes one way only loses power to friction, or does not come back to zero.
+    """
+    size = float(np.quantile(np.abs(values), 0.95))
+    folds = runs(values <= 0.05 * size)
+    directions = np.sign(np.diff(position, append=position[-1]))
+    turns = np.count_nonzero(np.diff(directions[directions != 0.0]))
+    rests = np.mean(values[1:] == 0.0) > 0.2
+    if values.min() < 0.0 or turns < 2 or len(folds) < 3 or rests:
+        return []
+    power = float(np.mean(values * np.diff(position, append=position[-1])))
+    through = float(np.mean(np.abs(values * np.diff(position, append=position[-1]))))
+    if abs(power) > 0.1 * through:
+        return []
+    return [f"{where}: never negative: a magnitude; record its sign"]
 
 
 def fresh_rows(signals: Sequence[Array]) -> tuple[Index, Flags, int] | None:
@@ -149,6 +198,24 @@ def fresh_rows(signals: Sequence[Array]) -> tuple[Index, Flags, int] | None:
     stale = ~new & (lasts > 2 * hold)
     rows = np.flatnonzero(new | stale & (since % hold == 0))
     return rows, stale[rows], hold
+
+
+def slower(values: Array) -> tuple[Array, int] | None:
+    """Interpolate a signal ``(n,)`` that is held over rows, and return over how many; or None.
+
+    Unlike steps of an encoder, they come at one pace and are of many sizes.
+    """
+    steps = np.diff(values, prepend=np.nan)
+    first = np.flatnonzero(steps != 0.0)
+    gaps = np.diff(first)
+    hold = int(np.median(gaps)) if first.size > 20 else 1
+    if hold < 2 or np.mean(gaps % hold == 0) < 0.9:
+        return None
+    if np.median(np.abs(steps[first[1:]])) < 3.0 * finest_step(values):
+        return None
+    since = np.arange(values.size) - first[np.cumsum(steps != 0.0) - 1]
+    fresh = np.flatnonzero(since % hold == 0)
+    return np.interp(np.arange(values.size), fresh, values[fresh]), hold
 
 
 # --- motion and standstill ----------------------------------------------------------------------

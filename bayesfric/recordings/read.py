@@ -145,6 +145,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
             checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
+        if channel.sign == 1 and position is not None and source.voltage is None:
+            label = table.label(channel.column)
+            warnings += checks.unsigned(
+                table.column(channel.column)[chosen], position[chosen], label
+            )
     if (encoder_step := checks.quantisation(moved[chosen])) is not None:
         unit = ("rad" if drive.motion == "rotary" else "m") + "/s" * (position is None)
         steps.append(f"{signal}: read in steps of {encoder_step:.3g} {unit} at the joint")
@@ -274,13 +279,11 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
         if key in _MEASURED and not source.steady:
             # a motion does not jump; a drive may be off for longer
             most = None if key in ("position", "velocity") else 5
-            failed = checks.failed_reads(values, most)
+            failed, code = checks.failed_reads(values, most)
             if failed.any():
                 values = np.where(failed, np.nan, values)
-                where = (
-                    f"failed reads: column {channel.column!r} is 0 between values far from it in "
-                )
-                notes.append(f"{where}{int(failed.sum())} rows, left out")
+                where = f"failed reads: column {channel.column!r} is {code:.6g} between values "
+                notes.append(f"{where}far from it in {int(failed.sum())} rows, left out")
         if isinstance(channel, Position) and not isinstance(channel, Velocity):
             motion = drive.motor_motion if channel.side == "motor" else drive.motion
             plain = channel.model_copy(update={"times": None})  # of a target it is the supply
@@ -293,9 +296,11 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
                 modulus,
                 factor * (-1 if channel.sign == -1 else 1),
             )
-            if jumps:
-                what = "a turn" if modulus == turn else f"{modulus:.0f} counts"
+            if modulus:
+                what = "a turn" if modulus == turn else f"{modulus:.6g} counts"
                 notes.append(f"{key}: jumps by {what} at {jumps} places, unwrapped")
+            elif jumps and key == "position":
+                notes.append(f"position: jumps by half its range or more in {jumps} rows")
         if values is not table.values(channel.column):
             decoded[channel.column] = values
             update[key] = channel.model_copy(update={"twos_complement": None, "sign_bit": None})
@@ -323,7 +328,12 @@ def _fresh(source: Columns, table: Table, time: Array) -> tuple[Table, Array, Fl
     if drive and np.ptp(signals[-1]) and not source.steady:
         fresh = checks.fresh_rows(signals)
     if fresh is None:
-        return table, time, np.zeros(time.size, dtype=np.bool_), []
+        between, notes = dict[str | int, Array](), list[str]()
+        for key in ("position", "velocity") if not source.steady else ():
+            if key in channels and (read := checks.slower(table.values(channels[key].column))):
+                between[channels[key].column], rows = read
+                notes.append(f"{key}: each value is held over {rows} rows; interpolated between")
+        return table.decoded(between, notes), time, np.zeros(time.size, dtype=np.bool_), []
     new, stale, hold = fresh
     text = f"time: values are held over {hold} rows; those that repeat are left out ({len(new)} "
     text += f"of {time.size} remain), and not compared where they last twice as long"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array, Flags, Index
 
 # possessive, so that it fails at the first wrong character
@@ -219,7 +220,10 @@ class Table:
             hint = "cut the repeated rows out, or record time with finer resolution"
             raise BadInput(where, problem, hint)
         problem = f"goes back in time, from {time[index - 1]:.9g} to {time[index]:.9g}"
-        raise BadInput(where, problem, "sort the rows by time, or split the file there")
+        # a clock that was set back is in order before and after
+        set_back = np.count_nonzero(time < np.maximum.accumulate(time)) > 3 * wrong.sum()
+        hint = "split the file there" if set_back else "sort the rows by time"
+        raise BadInput(where, problem, hint)
 
     def without_repeats(self, keys: Sequence[str | int], clock: str | int) -> Table:
         """Leave out rows that repeat the time stamp and all values of the row before."""
@@ -236,6 +240,11 @@ class Table:
         rows = np.flatnonzero(~np.append(False, again))
         note = f"repeats: {int(again.sum())} of {again.size + 1} rows repeat the one before"
         return replace(self.at(rows, again.size + 1), notes=(*self.notes, f"{note}, left out"))
+
+    def _seconds(self, clock: str | int) -> float:
+        """Return the unit of time stamps, as in the file."""
+        unit = self.units[self.place(clock)[0]] if self.units else ""
+        return units.scale([unit or "s"], "time")
 
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""
@@ -270,8 +279,8 @@ class Table:
         for key in keys:
             present, time = ~self.holes(key), stamps
             own = self.clock(key) if clock in self.clocks.values() else None
-            if own not in (None, clock):
-                time = self.stamps(own)
+            if own is not None and clock is not None and own != clock:
+                time = self.stamps(own) * (self._seconds(own) / self._seconds(clock))
             if present.size != time.size:
                 problem = f"has {present.size} values, column '{first}' has {time.size}"
                 raise BadInput(self.label(key), problem, "give columns of one length")

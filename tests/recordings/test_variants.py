@@ -4,16 +4,19 @@ Each is drawn by its number: names, order of columns, share of holes, rates and 
 has to be the truth, or what is wrong has to be named.
 """
 
+import json
 import re
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import implausible
-from bayesfric.recordings.recognition import named, recognise
+from bayesfric.recordings.readers import TableOptions, read_table
+from bayesfric.recordings.recognition import named, recognise, with_clocks
 from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Columns, Processing, Recording
 from bayesfric.recordings.tables import Table
@@ -259,6 +262,137 @@ def test_an_effort_of_another_joint_is_not_taken(number):
     assert names.keys() == {"time", "position"}
 
 
+MEASURED = ("actual", "measured", "meas", "present", "feedback", "pv", "is", "ist", "")
+COMMANDS = (
+    "demand", "planned", "set", "soll", "nominal", "expected", "reference", "model", "sim",
+    "target", "cmd",
+)  # fmt: skip
+
+
+@VARIANTS
+def test_the_measured_one_of_several(number):
+    """Before a name that does not say so, which is before a command; of two others neither."""
+    rng = np.random.default_rng([11, number])
+    t, word = 0.004 * np.arange(1000), MEASURED[number % 9]
+    form = ["{s}_{w}", "{w}_{s}", "{s} {w} value", "{s}_{w}_rad", "{w}.{s}"][number % 5]
+    measured = form.format(s="position", w=word) if word else "position"
+    columns = {"time": t, measured: angle(t), "torque_raw": drive(t)}
+    for other in rng.choice(COMMANDS, 3, replace=False):
+        columns[form.format(s="position", w=other)] = angle(t + 0.01)
+    if word:
+        columns["position"] = angle(t + 0.02)
+    names, log = chosen(shuffled(rng, columns))
+    assert names == {"time": "time", "position": measured, "torque": "torque_raw"}
+    assert log.joint == ""
+    again = form.format(s="position", w=word and MEASURED[(number + 1) % 8]) if word else "Position"
+    if again == measured:
+        return
+    names, log = chosen(shuffled(rng, {**columns, again: angle(t - 0.01)}))
+    if word and MEASURED[(number + 1) % 8]:
+        assert names["position"] == units.OPEN
+        assert all(name in " ".join(log.problems) for name in (measured, again))
+    names, _ = chosen(shuffled(rng, {**columns, again: columns[measured]}))
+    assert names["position"] in (measured, again)
+
+
+STAMPED = [
+    ("enc_time", "drv_time", "enc_pos", "drv_torque"), ("t1", "t2", "q1", "tau2"),
+    ("enc/t_ms", "drv/t_us", "enc/q", "drv/tau"), ("t_enc", "t_drv", "q_enc", "tau_drv"),
+    ("a.stamps", "b.stamps", "a.angle", "b.torque"), ("enc/t_sec", "amp/time_ms", "enc/q", "amp/i"),
+    ("log/enc/time_us", "log/drv/time_us", "log/enc/pos", "log/drv/effort"),
+    ("encoder_time", "drive_time", "encoder_position", "drive_torque"),
+    ("t1", "t2", "q", "tau"), ("Time", "Time.1", "ActPos_deg", "ActTorque_Nm"),
+]  # fmt: skip
+
+
+@VARIANTS
+def test_each_column_is_paired_by_the_clock_of_its_words(number):
+    """Or the two clocks are named; of other epochs, or the same, they are one."""
+    rng = np.random.default_rng([12, number])
+    clock, other, position, torque = STAMPED[number // 2]
+    t = np.arange(0.0, 10.0, 1.0 / rng.uniform(200.0, 500.0))
+    late = t + rng.uniform(0.02, 0.03)
+    scale, second = (units.scale([named(c).unit or "s"], "time") for c in (clock, other))
+    columns = {clock: t / scale, other: late / second, position: angle(t), torque: drive(late)}
+    table = with_clocks(shuffled(rng, columns))
+    names, _ = chosen(table)
+    assert (names["time"], names["position"]) == (clock, position)
+    if number // 2 > 7:
+        assert not table.clocks
+        assert all(name in " ".join(table.notes) for name in (clock, other))
+    else:
+        assert table.clocks == {position: clock, torque: other}
+        time = {"column": clock, "unit": named(clock).unit or "s"}
+        recording = configured(table, time=time, position=position, torque=torque)
+        error = CURVATURE * (t[1] - t[0]) ** 2 / 8.0
+        np.testing.assert_allclose(recording.torque, drive(recording.time), atol=error)
+        np.testing.assert_allclose(recording.position, angle(recording.time), atol=1e-9)
+    columns[other] = (t + (1e6 if number % 2 else 0.0)) / second
+    table = with_clocks(shuffled(rng, columns))
+    assert not table.clocks
+    assert not table.notes
+
+
+FOREIGN = [
+    ("Zeit [s]", "Winkel [rad]", "Drehzahl [1/min]", "Drehmoment [Nm]"),
+    ("Temps (ms)", "Angle mesuré (deg)", "Vitesse (rpm)", "Couple (mNm)"),
+    ("tempo_ms", "angolo_deg", "giri_rpm", "coppia_Nm"),
+    ("aika_us", "kulma_rad", "nopeus_rpm", "vääntö_Nm"),
+    ("datetime", "winkel_deg", "rpm", "strom_mA"),
+]  # fmt: skip
+
+
+@VARIANTS
+def test_a_unit_of_one_channel_needs_no_known_name(number):
+    """In brackets, as a suffix or in a row of units; a known name is before it."""
+    rng = np.random.default_rng([13, number])
+    t, foreign = 0.004 * np.arange(1000), list(FOREIGN[number % 5])
+    stamps = (pd.Timestamp("2026-03-02") + pd.to_timedelta(t, unit="s")).astype(str).to_numpy()
+    scale = units.scale([named(foreign[0]).unit or "s"], "time")
+    time = stamps.astype(object) if number % 5 == 4 else t / scale
+    values = [time, angle(t), speed(t), drive(t)]
+    if number == 0:
+        table = Table(
+            "log", ["a", "b", "c", "d"], values.__getitem__, units=["s", "rad", "rpm", "A"]
+        )
+        foreign = list(table.names)
+    else:
+        columns = dict(zip(foreign, values, strict=True))
+        table = shuffled(rng, columns | {"Latenz [ms]": rng.random(t.size)})
+    names, log = chosen(table)
+    assert list(names.values()) == foreign
+    assert all(unit for _, unit in log.chosen.values())
+    extra = {"pos": angle(t), "torque": drive(t), "Temperatur [°C]": 20.0 + drive(t)}
+    names, _ = chosen(shuffled(rng, dict(zip(foreign, values, strict=True)) | extra))
+    assert (names["position"], names["torque"]) in (("pos", "torque"),)
+
+
+@pytest.mark.parametrize("kind", ["mat", "json", "jsonl"])
+def test_nested_objects_are_columns_by_their_paths(kind, tmp_path):
+    t = 0.004 * np.arange(1000)
+    late = t + 0.01
+    content = {
+        "log": {"enc": {"time": t, "q": angle(t)}, "drv": {"time": late, "tau": drive(late)}}
+    }
+    lists = {"log": {k: {n: x.tolist() for n, x in v.items()} for k, v in content["log"].items()}}
+    path = tmp_path / f"log.{kind}"
+    if kind == "mat":
+        savemat(path, content)
+    elif kind == "json":
+        path.write_text(json.dumps(lists))
+    else:
+        rows = (
+            {k: {n: x[i] for n, x in v.items()} for k, v in lists["log"].items()}
+            for i in range(t.size)
+        )
+        path.write_text("\n".join(json.dumps({"log": row}) for row in rows))
+    table = read_table(path, TableOptions())
+    assert table.clocks == {"log.enc.q": "log.enc.time", "log.drv.tau": "log.drv.time"}
+    names, _ = chosen(table)
+    assert names == {"time": "log.enc.time", "position": "log.enc.q", "torque": "log.drv.tau"}
+    np.testing.assert_array_equal(table.values("log.drv.tau"), drive(late))
+
+
 # -- units, prefixes, and words
 
 SPELLINGS = [
@@ -415,3 +549,104 @@ def test_a_velocity_that_differs_in_factor_and_lateness(number):
     (printed,) = re.findall(r"is ([-\d.]+) times the differentiated", said)
     assert float(printed) == pytest.approx(factor, rel=0.02)
     assert ("after the " in said or "before the " in said) == bool(late)
+
+
+@VARIANTS
+def test_a_counter_that_wraps_at_any_number(number):
+    """At 10 to 50 thousand, or a turn of another gear than its unit says; or it only jumps."""
+    rng = np.random.default_rng([11, number])
+    t = np.arange(0.0, 12.0, 1.0 / rng.uniform(200.0, 1000.0))
+    size = float(rng.choice([10000, 20000, 36000, 50000, 360.0, 400.0]))
+    truth = 0.4 * size * (angle(t) * rng.uniform(2.0, 4.0) + rng.random())
+    truth = np.round(truth) if number % 2 else truth
+    values = truth % size
+    unit = f"turn/{rng.choice([1.7, 3.0, 4.0]) * size}"
+    columns = {"t": t, "q": values, "tau": drive(t)}
+    keys = {"time": "t", "position": {"column": "q", "unit": unit}, "torque": "tau"}
+    recording, said = noted(lambda: configured(shuffled(rng, columns), **keys))
+    assert f"jumps by {size:.6g} counts" in said
+    raw = recording.position / units.scale([unit], "angle")
+    np.testing.assert_allclose(raw - raw[0], truth - truth[0], atol=1e-6 * size)
+    moved = truth + np.where(t > 6.0, 5.0 * np.ptp(truth), 0.0)
+    columns["q"] = moved
+    recording, said = noted(lambda: configured(shuffled(rng, columns), **keys))
+    assert "in 1 rows" in said
+    raw = recording.position / units.scale([unit], "angle")
+    np.testing.assert_allclose(raw, moved, rtol=1e-9, atol=1e-9)
+
+
+@VARIANTS
+def test_a_sign_bit_of_a_large_torque_and_a_magnitude(number):
+    rng = np.random.default_rng([12, number])
+    t = np.arange(0.0, 12.0, 1.0 / rng.uniform(200.0, 500.0))
+    torque = (drive(t) + np.sign(speed(t))) / 6.0
+    bit = int(rng.choice([10, 12, 15]))
+    raw = np.round(torque * rng.uniform(0.2, 0.95) * 2.0**bit + rng.normal(0.0, 2.0, t.size))
+    full = 2.0 ** (bit + 1)
+    key = f"twos_complement = {bit + 1}" if number % 2 else f"sign_bit = {bit}"
+    coded = np.where(raw < 0.0, raw + full if number % 2 else full / 2.0 - raw, raw)
+    keys = {"time": "t", "position": "q", "torque": "tau"}
+
+    def said(values):
+        return noted(
+            lambda: configured(shuffled(rng, {"t": t, "q": angle(t), "tau": values}), **keys)
+        )[1]
+
+    assert key in said(coded)
+    right = said(raw)
+    assert "magnitude" not in right
+    assert "sign_bit" not in right
+    # a drive that only pulls, against gravity
+    pulls = said(torque - 1.2 * torque.min())
+    assert "magnitude" not in pulls
+    assert "'tau'" in said(np.abs(torque)).split(": never negative")[0]
+
+
+@VARIANTS
+def test_numbers_that_stand_for_failed_reads(number):
+    rng = np.random.default_rng([13, number])
+    t = np.arange(0.0, 12.0, 1.0 / rng.uniform(100.0, 500.0))
+    code = rng.choice([-999.0, 9999.0, 65535.0, -32768.0, -1000.0])
+    lost = rng.random(t.size) < rng.uniform(0.004, 0.05)
+    lost[[5, 200]] = True
+    columns = {"t": t, "q": angle(t), "tau": drive(t)}
+    key = ("q", "tau")[number % 2]
+    columns[key] = np.where(lost, code, columns[key])
+    recording, said = noted(
+        lambda: configured(shuffled(rng, columns), time="t", position="q", torque="tau")
+    )
+    assert f"{code:.6g} between values far from it in {lost.sum()} rows" in said
+    np.testing.assert_allclose(recording.position, angle(recording.time), atol=0.02)
+    np.testing.assert_allclose(recording.torque, drive(recording.time), atol=0.1)
+
+
+@VARIANTS
+def test_a_position_that_is_read_more_slowly(number):
+    """Its rows are interpolated; those of a coarse encoder at a steady speed are not."""
+    rng = np.random.default_rng([14, number])
+    rate, hold = rng.uniform(300.0, 1000.0), int(rng.integers(2, 9))
+    t = np.arange(0.0, 12.0, 1.0 / rate)
+    q = angle(t) if number % 2 else np.round(angle(t), 5)
+    columns = {"t": t, "q": q[np.arange(t.size) // hold * hold], "tau": drive(t)}
+    keys = {"time": "t", "position": "q", "torque": "tau"}
+    recording, said = noted(lambda: configured(shuffled(rng, columns), **keys))
+    assert f"held over {hold} rows" in said
+    inner = slice(0, -2 * hold)
+    error = CURVATURE * (hold / rate) ** 2 / 8.0 + 2e-5
+    np.testing.assert_allclose(recording.position[inner], angle(recording.time)[inner], atol=error)
+    columns["q"] = np.floor(np.arange(t.size) / hold)  # one step of an encoder each
+    assert "held over" not in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
+
+
+@VARIANTS
+def test_a_clock_that_steps_back_is_not_misplaced_rows(number):
+    rng = np.random.default_rng([15, number])
+    t = np.arange(0.0, 6.0, 1.0 / rng.uniform(100.0, 500.0))
+    at = int(rng.integers(200, 400))
+    stamps = t - (np.arange(t.size) >= at) * 0.4
+    keys = {"time": "t", "position": "q", "torque": "tau"}
+    columns = {"t": stamps, "q": angle(t), "tau": drive(t)}
+    assert "split the file" in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
+    columns["t"] = t.copy()
+    columns["t"][[at, at + 1]] = t[[at + 1, at]]
+    assert "sort the rows" in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
