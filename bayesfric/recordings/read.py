@@ -140,7 +140,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
         checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
     warnings += [
-        *table.doubts([*filter(None, source.columns)]),
+        *table.doubts(source.columns),
         *grid.warnings,
         *_count_warnings(source, table, chosen),
     ]

@@ -249,11 +249,12 @@ class Table:
 
     def doubts(self, keys: Sequence[str | int]) -> list[str]:
         """Say which of some columns may be of other clocks than the rows by which they are read."""
-        names = [self.names[place] for place in dict.fromkeys(self.place(key)[0] for key in keys)]
+        places = dict.fromkeys(self.place(key)[0] for key in keys if key)
+        names = [self.names[place] for place in places]
         if not (doubtful := [name for name in names if name in self.unpaired]):
             return []
-        clocks = f"several clocks ({self.unpaired[doubtful[0]]})"
-        return [f"time: {clocks}; {', '.join(doubtful)} are read by the rows of the time column"]
+        clocks = f"but may be of another of the clocks {self.unpaired[doubtful[0]]}"
+        return [f"time: {', '.join(doubtful)} are paired by rows, {clocks}"]
 
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""
