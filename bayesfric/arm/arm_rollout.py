@@ -194,7 +194,7 @@ def simulate_arm(
     """
     q, qd, qdd = (x.T for x in motion)
     others, each = np.setdiff1d(np.arange(q.shape[1]), driven), np.arange(driven.size)
-    own, cross = np.ix_(driven, driven), np.ix_(driven, others)
+    among_driven, cross = np.ix_(driven, driven), np.ix_(driven, others)
     out, c, armature = q[:, driven].copy(), friction, np.diag(friction["armature"][0])
     v, a = qd[0, driven], qdd[0, driven]
     reverses = (qd[:-1, driven] * qd[1:, driven] < 0.0).any(axis=1)
@@ -214,9 +214,9 @@ def simulate_arm(
             position[driven], speed[driven] = x + 0.5 * h * v, v + 0.5 * h * a
             mass, bias = dynamics(position, speed)
             still = bias[driven] + mass[cross] @ acceleration[others]
-            load = still + mass[own] @ a
+            load = still + mass[among_driven] @ a
             backwards, back_driven = (v < 0.0).astype(int), (load * v < 0.0).astype(int)
-            rigid = mass[own] + armature
+            rigid = mass[among_driven] + armature
             drag = 0.5 * h * np.diag(c["viscous"][backwards, each])  # of the mean speed
             torque = effort[:, i] + share * (effort[:, i + 1] - effort[:, i])
             impulse = (rigid - drag) @ v + h * (torque - still - c["offset"][0])

@@ -72,12 +72,12 @@ def progress_shown(wanted: bool | ProgressCallback) -> Iterator[ProgressCallback
     class Compilation(event.Listener):
         """Say once that kernels are compiled, which a cache keeps for later runs."""
 
-        said = False
+        announced = False
 
         def on_start(self, _: Any) -> None:
-            if not self.said:
+            if not self.announced:
                 console.print("compiling, first run only")
-            self.said = True
+            self.announced = True
 
         def on_end(self, _: Any) -> None:
             pass

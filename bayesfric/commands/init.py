@@ -146,7 +146,8 @@ def _log_configuration(
     }
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
-    unknown = list(log.problems)
+    taken = [column for key, (column, _) in log.chosen.items() if key != "time" and column != OPEN]
+    unknown = [*log.problems, *table.doubts(taken)]
     if "position" not in channels:
         unknown.append("the position: no column is named so, and the velocity will be integrated")
     if preset is None:
@@ -228,7 +229,8 @@ def _why_not(row: Mapping[str, Any], meaning: Named, log: Log) -> str:
         return f"of joint {meaning.joint}"
     drives = ("torque", *_CONSTANTS)
     rivals = drives if meaning.channel in drives else (meaning.channel,)
-    taken = next((f"{log.chosen[key][0]} is taken" for key in rivals if key in log.chosen), "")
+    columns = [log.chosen[key][0] for key in rivals if key in log.chosen]
+    taken = "one of several" if OPEN in columns else "".join(f"{x} is taken" for x in columns[:1])
     return taken or ("does not increase" if meaning.channel == "time" else "not of this joint")
 
 

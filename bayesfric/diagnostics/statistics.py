@@ -346,8 +346,8 @@ class Columns:
         """The same with whitened noise."""
         if self.autocorrelation is WHITE:
             return self
-        own = np.column_stack([self.base, self.residual])
-        white, others = self.autocorrelation.whitened(own, self.layout), self.others
+        with_residual = np.column_stack([self.base, self.residual])
+        white, others = self.autocorrelation.whitened(with_residual, self.layout), self.others
         if not self.others_whitened:
             others = self.autocorrelation.whitened(others.astype(np.float64), self.layout)
         base, residual = white[:, :-1], white[:, -1]

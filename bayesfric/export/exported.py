@@ -164,12 +164,12 @@ def _check(form: Format, options: Options) -> None:
 
 def _export(run: Result, form: Format, options: Options) -> Exported:
     joint, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
-    few = thinned(motions)
-    vectors = parameter_vectors(run, few, options.draws or _DRAWS)
+    thin = thinned(motions)
+    vectors = parameter_vectors(run, thin, options.draws or _DRAWS)
     recorded = covered(run.model.chain, run.model.observations, vectors.point, open_scale=True)
     load = float(np.abs(recorded[1]).mean())
     law_torque = torque_along(joint, undelayed(joint, vectors.point[None]), motions)[0]
-    fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), few, load)
+    fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), thin, load)
     # the torque that held the joint at standstill is a lower limit of its static friction
     law_friction = fitted["static_friction"]
     held = max((rest["held"] for rest in run.summary.fit.rests), default=0.0)
@@ -258,7 +258,7 @@ def lost_terms(
         (names, columns := unit_torques(names, motions), np.linalg.pinv(columns))
         for names in (losses, springs, [])
     ]
-    whole, lost = torque_along(joint, values, motions)[0], []
+    torque, lost = torque_along(joint, values, motions)[0], []
     for p, value in zip(joint.parameters, vector.tolist(), strict=True):
         row = {"parameters": [p.name], "value": value, "unit": p.unit, "meaning": p.meaning}
         number = number_of(p)
@@ -271,7 +271,7 @@ def lost_terms(
         else:
             without = values.copy()
             without[0, joint.names.index(p.name)] = 0.0
-            term = whole - torque_along(joint, without, motions)[0]
+            term = torque - torque_along(joint, without, motions)[0]
             kind = 2 if number in LINK_AND_DRIVE else number in ("stiffness", "stiffness_cubic")
             fitted, columns, inverse = bases[kind]
             left = term - columns @ (inverse @ term)
@@ -319,8 +319,8 @@ def _notes(content: Mapping[str, Any]) -> list[str]:
     # a link whose inertia is in the rotor's
     if content["body"] is not None and not content["numbers"]["link_inertia"]:
         exact = exact_numbers(run.joint, content["vectors"].point[None])
-        own = {name: float(x[0]) for name, x in exact.items()}
-        placeholder = body_of(own, content["rotary"])
+        constants = {name: float(x[0]) for name, x in exact.items()}
+        placeholder = body_of(constants, content["rotary"])
     position, speed, _ = stacked(motions)
     text = filled(
         "notes.txt.j2",

@@ -435,7 +435,7 @@ def trials(
         torque = experiment.current_loop(peak * shape, period, LAG)
         design = partial(designed_recording, chain, values, base, torque, base.inputs)
         experiments.append(("excitation", text, design))
-    made = []
+    combinations = []
     for kind, text, record in experiments:
         try:
             recording = record()
@@ -443,8 +443,8 @@ def trials(
             continue  # no such motion takes the torque, or it stays at standstill
         rows = scaled_jacobian(target, recording, values, local, noise)
         if np.isfinite(information := rows.T @ rows).all():
-            made.append((kind, text, information))
-    return made
+            combinations.append((kind, text, information))
+    return combinations
 
 
 def remedies(

@@ -640,8 +640,8 @@ def designed_recording(
         qd = math.copysign(max(abs(moved) - loss, 0.0), moved)
         q += period * qd
     motion = positions, speeds, np.diff(speeds, append=qd) / period
-    taken = inverse_torque(chain, values, *motion, inputs=inputs, time=time)
-    return prepared(chain, values, observation, motion, taken, inputs)
+    torque = inverse_torque(chain, values, *motion, inputs=inputs, time=time)
+    return prepared(chain, values, observation, motion, torque, inputs)
 
 
 def prepared(

@@ -156,8 +156,8 @@ def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -
     return Discrepancy(chance, moves - mean, mean, fit.covariance)
 
 
-def _stream(posterior: Posterior, *more: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13, *more)))
+def _stream(posterior: Posterior, *keys: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13, *keys)))
 
 
 class LinearisedFit:

@@ -129,8 +129,8 @@ def scalings(
         return ()
     family = []
     for i, element in enumerate(joint.elements):
-        own = [p for p in joint.parameters if p.owner == element.name]
-        risen = any("stribeck_load_ratio" in slots_of(p) for p in own)
+        of_element = [p for p in joint.parameters if p.owner == element.name]
+        risen = any("stribeck_load_ratio" in slots_of(p) for p in of_element)
         # ratios, angles and speeds do not grow with the torque behind the gearbox
         owners = {e.name for e in joint.elements[i + 1 :]} | {"load"}
         rules = {
@@ -142,6 +142,6 @@ def scalings(
             # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
             rules |= {f"{element.name}.load_drive": (1.0, -1)}
             rules |= {f"{element.name}.load_back": (-1.0, -1)}
-            rules |= {p.name: (0.0, -p.row.scaled_by) for p in own if p.row.scaled_by}
+            rules |= {p.name: (0.0, -p.row.scaled_by) for p in of_element if p.row.scaled_by}
             family.append(Scaling(joint, element.name, rules))
     return tuple(family)

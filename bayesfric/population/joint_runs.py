@@ -148,8 +148,8 @@ class JointTarget(Target):
         for target, run, error in zip(
             self.targets, self._of_runs(flat), discrepancies, strict=True
         ):
-            own = target.unbounded(run)[:, : error.mean.size]
-            cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
+            coordinates = target.unbounded(run)[:, : error.mean.size]
+            cross = np.cov(coordinates.T, u.T)[: coordinates.shape[1], coordinates.shape[1] :]
             slopes.append(np.linalg.solve(error.covariance, cross))
 
         def move(drawn: NDArray[np.intp]) -> Array:

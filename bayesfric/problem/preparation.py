@@ -245,11 +245,12 @@ def _check_size(chain: Joint, observations: Sequence[Signals]) -> None:
         lost = {
             why: sum(int(o.settings[key]) for o in observations) for key, why in reasons.items()
         }
-        most = max(lost, key=lost.__getitem__)
+        main_cause = max(lost, key=lost.__getitem__)
         problem = f"{outputs} outputs after filtering, {len(chain.parameters)} parameters"
         raise BadInput(
             ", ".join(f"recording {o.name!r}" for o in observations),
-            problem + f"; {lost[most]} more were left out {most}" * bool(lost[most]),
+            problem
+            + f"; {lost[main_cause]} more were left out {main_cause}" * bool(lost[main_cause]),
             "record longer, or decimate less",
         )
 

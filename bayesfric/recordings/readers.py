@@ -25,6 +25,7 @@ from pydantic import Field, model_validator
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import Options
 from bayesfric.base.safe_read import check_file, parse_json, unreadable
+from bayesfric.recordings.recognition import with_clocks
 from bayesfric.recordings.tables import Table, is_number
 
 if TYPE_CHECKING:
@@ -89,7 +90,10 @@ def read_table(path: Path, options: TableOptions) -> Table:
         with _damage_named(path, kind, table.label(table.names[index] or index + 1)):
             return table.load(index)
 
-    return dataclasses.replace(table, load=load).only(options.where)
+    readable = dataclasses.replace(table, load=load)
+    # the stamps of a message and of its receipt are of one row
+    paired = readable if table.clocks or kind == "ros" else with_clocks(readable)
+    return paired.only(options.where)
 
 
 def is_recording(path: Path) -> bool:
@@ -400,11 +404,11 @@ def _read_json(path: Path, options: TableOptions) -> Table:
 
     It is at the path ``options.table``, at the top, or the only list of objects in the file.
     """
-    data = _inside(str(path), parse_json(str(path), _read_text(path)), options.table)
+    data = _flat(_inside(str(path), parse_json(str(path), _read_text(path)), options.table))
     where = "" if options.table is None else f"{options.table}."
     while tables := _tables_in(data, where):
         name = _one_of(path, list(tables), None)
-        data, where = tables[name], f"{name}."
+        data, where = _flat(tables[name]), f"{name}."
     if isinstance(data, list):
         return _from_rows(path, data)
     if not isinstance(data, dict) or not any(isinstance(value, list) for value in data.values()):
@@ -443,6 +447,18 @@ def _inside(where: str, data: Any, table: str | None) -> Any:
             raise BadInput(f"{where}, table '{table}'", f"there is no key '{key}'", hint)
         data = inner[key]
     return data
+
+
+def _flat(data: Any) -> Any:
+    """Name what is inside objects of an object by its dotted path; return other data."""
+    if not isinstance(data, dict):
+        return data
+    columns = dict[str, Any]()
+    for key, value in data.items():
+        inner = _flat(value)
+        nested = inner is not value
+        columns |= {f"{key}.{k}": v for k, v in inner.items()} if nested else {key: value}
+    return columns
 
 
 def _tables_in(data: Any, path: str = "") -> dict[str, Any]:
@@ -484,6 +500,9 @@ def _from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) 
             problem = f"is no list of {width} values, as row 1 is"
             raise BadInput(f"{path}, row {k + 1}", problem, "cut it out")
         return Table(str(path), [""] * width, lambda i: _cells([x[i] for x in rows]), by_rows=True)
+    # where only a later row holds an object, its cell is wrong
+    if isinstance(rows[0], dict) and any(isinstance(value, dict) for value in rows[0].values()):
+        rows = [*map(_flat, rows)]
     names = list(dict.fromkeys(key for row in rows if isinstance(row, dict) for key in row))
 
     def load(index: int) -> NDArray[Any]:
@@ -607,11 +626,7 @@ def _datasets(path: Path, wanted: str, *, matlab: bool) -> Table:
         file.visititems(visit)
     if not datasets:
         raise BadInput(str(path), "holds no datasets of numbers", "check the export")
-    # columns of a group that holds time stamps have those
-    stamps = ("time", "timestamp", "timestamps", "stamp", "stamps", "t")
-    groups = {name: name.rpartition("/")[0] for name in datasets}
-    times = {groups[x]: x for x in datasets if groups[x] and x.split("/")[-1].lower() in stamps}
-    columns = {name: ("", times.get(groups[name], "")) for name in datasets}
+    columns = dict.fromkeys(datasets, ("", ""))
 
     def load(name: str) -> NDArray[Any]:
         with h5py.File(path, "r") as file:
@@ -660,7 +675,7 @@ def _read_matlab(path: Path, options: TableOptions) -> Table:
         warnings.simplefilter("ignore")  # objects have no names, and seem doubled
         content = loadmat(path, simplify_cells=True)
     content = {key: value for key, value in content.items() if not str(key).startswith("__")}
-    variables = _inside(str(path), content, options.table)
+    variables = _flat(_inside(str(path), content, options.table))
     if not isinstance(variables, dict) or not variables:
         where = f"{path}, table '{options.table}'" if options.table else str(path)
         raise BadInput(where, "holds no variables", "name a struct of vectors with table")

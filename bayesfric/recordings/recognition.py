@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +16,13 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.checks import unwrapped
 from bayesfric.recordings.measurement import implausible
 from bayesfric.recordings.tables import Table
+from bayesfric.recordings.units import OPEN
 
 _DRIVES = ("torque", "current", "voltage")
 # Words for each channel, the most specific first.
 _WORDS = {
-    "time": "time timestamp timestamps t ts stamp clock elapsed seconds millis micros received",
+    "time": "time timestamp timestamps t ts stamp stamps clock elapsed seconds millis micros "
+    "received tout datetime date tick zeit",
     "position": "position positions pos q qpos angle theta phi encoder enc qm state counts ticks",
     "velocity": "velocity velocities vel qd dq qvel qdot thetadot speed omega v",
     "torque": "torque torques tau effort efforts trq moment force load",
@@ -28,13 +30,17 @@ _WORDS = {
     "voltage": "voltage volts volt pwm duty u",
     # not what was measured, or not of the joint
     "wanted": "target desired goal command commanded cmd ref reference setpoint des sp action "
-    "error limit max min raw bus input supply",
+    "demand planned set soll nominal expected model sim error limit max min bus input supply "
+    "temperature temp",
+    "measured": "actual act measured meas present feedback pv is ist",
     # no name of a joint
     "": "joint joints motor observation observations obs header in the output axis data value "
-    "values signal log electrical control actual measured meas estimate est feedback",
+    "values signal log electrical control raw estimate est",
 }
 # Words that count only as the whole name.
 _LETTERS = {"t", "v", "i", "u", "counts", "ticks"}
+# Added to the rank of a name that says measured, and of one known by its unit or first letter only.
+_MEASURED, _UNSURE = -100, 100
 _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "time": ("time",),
     "position": ("angle", "length"),
@@ -83,6 +89,9 @@ _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 _FACTOR = re.compile(r"\d\.?\d*[A-Za-zµμ°]+$")  # a number before the unit at a name's end
 _LONG_PREFIXES = {"nano", "micro", "milli", "centi", "deci", "deca", "hecto", "kilo", "mega"}
 _PARTS = re.compile(r"[a-zµμ]{0,2}(?:Nm|[AV])(?![A-Za-z])|[A-Z]?[a-zµμ]+|[A-Z]+(?![a-z])|\d+|°")
+_NO_PLACE = {*_WORDS["time"].split(), *_SPELT}  # words of time stamps that say not of what
+# The last part of a path, behind a slash or a dot: Axis.ActPos, not N.m or Time.1.
+_PATH = re.compile(r"(.*[^N\s])[/.](?!\d|m?s(?:ec)?$)([^/.]+)")
 # Names that write N_m, MNm, rad/s or rad_per_s.
 _WRITTEN = (
     (re.compile(r"(?<=N)[ _.·*-](?=m(?![a-z]))"), ""),
@@ -145,20 +154,25 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
     label = label or ""
     chosen: dict[str, tuple[str, str]] = {}
-    for channel in ("time", "position", "velocity", *_DRIVES):
+    for channel in ("position", "velocity", *_DRIVES, "time"):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
             continue
         named_so = [s for s in signals if s[2].channel == channel]
         fitting = _of_joint(named_so, label)
         if channel == "time":  # what else its name has is of a computer, not of a joint
             clocks = _clocks(named_so)
-            fitting = _of_joint(clocks, label) or clocks
+            own = next((table.clock(c) for c, _ in chosen.values() if c != OPEN), None)
+            fitting = [s for s in clocks if s[0] == own] or _of_joint(clocks, label) or clocks
         if fitting:
-            column, _, name = fitting[0]
+            column, values, name = fitting[0]
+            rivals = [c for c, x, n in fitting if n.rank == name.rank and not _same(x, values)]
+            if rivals and channel != "time":
+                problems[OPEN] = f"the {channel}: {' or '.join([column, *rivals])}, which differ"
+                column, name = OPEN, name._replace(unit="")
             chosen[channel] = column, name.unit
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
     if "time" in chosen:
-        chosen["time"] = _checked_time(table, *chosen["time"], chosen, problems)
+        chosen = {"time": _checked_time(table, *chosen.pop("time"), chosen, problems), **chosen}
     taken = [column for column, _ in chosen.values()]
     return Log(
         chosen,
@@ -175,13 +189,74 @@ Signals = list[tuple[str, Array, "Named"]]
 
 
 def _clocks(signals: Signals) -> Signals:
-    """Sort the columns named as time, those first that never go back; none that stands still."""
+    """Sort the columns named as time, those first that never go back; none that stands still.
+
+    Nor one that goes back and is known by its unit only, as a latency in ms.
+    """
     back = [
         (bool(np.any(np.diff(unwrapped(values)[0][np.isfinite(values)]) < 0.0)), k)
         for k, (_, values, _) in enumerate(signals)
         if np.nanmax(values) > np.nanmin(values)
     ]
-    return [signals[k] for _, k in sorted(back)]
+    return [signals[k] for wrong, k in sorted(back) if not wrong or signals[k][2].rank < _UNSURE]
+
+
+def _same(one: Array, other: Array) -> bool:
+    """Whether a column repeats another, or stands still."""
+    return not np.nanmax(one) > np.nanmin(one) or np.array_equal(one, other, equal_nan=True)
+
+
+def with_clocks(table: Table) -> Table:
+    """Pair columns with the time stamps that share their group, word or number, if several differ.
+
+    Recognised columns that cannot be paired so are ``unpaired``.
+    """
+    marks = list(table.units or [""] * len(table.names))
+    times = dict[str, Array]()
+    for k, name in enumerate(table.names):
+        meaning = named(name, marks[k])
+        if meaning.channel == "time" and not meaning.wanted and table.names.count(name) == 1:
+            with suppress(BadInput):
+                time = table.values(name) * units.scale([meaning.unit or "s"], "time")
+                if time.size > 1 and np.all(np.diff(time) > 0.0) and not table.is_dated(name):
+                    times[name], marks[k] = time, meaning.unit
+    clocks = list[str]()
+    for name, time in times.items():
+        if not any(_as_one(time, times[other]) for other in clocks):
+            clocks.append(name)
+    if len(clocks) < 2 or len({marks[table.names.index(name)] == "" for name in clocks}) > 1:
+        return table
+    grouped = any(_divided(name)[0] for name in table.names)
+    pairs, unpaired = dict[str, str](), dict[str, str]()
+    for name in (name for name in table.names if name not in times):
+        words = _place(name, grouped)
+        shared = sorted(
+            (len(words & _place(clock, grouped) - _NO_PLACE), clock) for clock in clocks
+        )
+        if shared[-1][0] > shared[-2][0]:
+            pairs[name] = shared[-1][1]
+        elif named(name).channel:
+            unpaired[name] = ", ".join(clocks)
+    return replace(table, clocks=pairs, unpaired=unpaired, units=marks)
+
+
+def _as_one(time: Array, other: Array) -> bool:
+    """Whether stamps are the same, or of other epochs, by which nothing can be paired."""
+    if time[-1] < other[0] or other[-1] < time[0]:
+        return True
+    half = 0.5 * float(np.median(np.diff(time)))
+    return time.size == other.size and bool(np.all(np.abs(time - other) < half))
+
+
+def _place(name: str, grouped: bool) -> set[str]:
+    """Return the words and numbers of a column's name, and its group, if the table has any."""
+    return {*map(str.lower, _PARTS.findall(name)), *([f"{_divided(name)[0]}/"] * grouped)}
+
+
+def _divided(name: str) -> tuple[str, str]:
+    """Split a path before its last part."""
+    divided = _PATH.fullmatch(name)
+    return (divided[1], divided[2]) if divided else ("", name)
 
 
 def _of_joint(signals: Signals, label: str) -> Signals:
@@ -204,7 +279,8 @@ def _checked_time(
     if column in problems:
         return column, unit
     try:
-        once = table.without_repeats([name for name, _ in chosen.values()], column)
+        columns = [name for name, _ in chosen.values() if name != OPEN]
+        once = table.without_repeats(columns, column)
         time = once.decoded({column: unwrapped(once.values(column))[0]}, ()).stamps(column)
     except BadInput as error:
         problems[column] = str(error)
@@ -234,10 +310,12 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
 def _signals(table: Table, problems: dict[str, str]) -> Iterator[tuple[str, Array, Named]]:
     """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
-        if not named(name).channel:
+        if not named(name, written).channel:
+            if name and table.is_dated(name):
+                yield name, table.values(name), Named("time", _UNSURE, False, "", "s")
             continue
         try:
-            if named(name).channel == "time" and table.is_dated(name):
+            if named(name, written).channel == "time" and table.is_dated(name):
                 written = "s"
             yield name, _numbers(table, name, problems), named(name, written)
             continue
@@ -273,15 +351,17 @@ def named(name: str, written: str = "") -> Named:
         text = pattern.sub(replacement, text)
     text = text.replace("i_q", "iq").replace("I_q", "Iq")
     words = [part.lower() for part in _PARTS.findall(text)]
-    alone = sum(not word.isdecimal() for word in words) == 1
+    last = [part.lower() for part in _PARTS.findall(_divided(text)[1])]
+    alone = sum(not word.isdecimal() for word in last) == 1
     known = [
         k
         for k, w in enumerate(words)
-        if w in _CHANNEL
-        and (alone or w not in _LETTERS or _unit_in_name(_CHANNEL[w][0], words[1:]))
+        if w in _CHANNEL and (w not in _LETTERS or alone or _unit_in_name(_CHANNEL[w][0], last[1:]))
     ]
+    if _divided(text)[1].startswith(("t_", "t ")):  # t_enc is a time
+        known.append(len(words) - len(last))
     if not known:
-        return Named("", 0, False, inside, "")
+        return _named_by_unit(words, inside, written)
     channel, rank = _CHANNEL[words[known[-1]]]
     own = _WORDS[channel].split()
     after = [w for w in words[known[-1] + 1 :] if w not in own]
@@ -298,7 +378,21 @@ def named(name: str, written: str = "") -> Named:
     label = [w for w in left[: len(left) - used] if w not in all_words]
     label += [inside] if inside and not _unit_of(channel, inside) else []
     wanted = any(w in _WORDS["wanted"].split() for w in left)
+    rank += _MEASURED * (not {*left}.isdisjoint(_WORDS["measured"].split()))
     return Named(channel, rank, wanted, " ".join(label), unit)
+
+
+def _named_by_unit(words: Sequence[str], inside: str, written: str) -> Named:
+    """Name a column by a unit of one channel only; of its words a number may be its joint's."""
+    ends = [" ".join(words[-n:]) for n in (2, 1) if len(words) >= n]
+    texts = [written, inside, *(_SPELT.get(end, "") for end in ends if len(end) > 1)]
+    for text in filter(None, texts):
+        fitting = [(channel, unit) for channel in _KINDS if (unit := _unit_of(channel, text))]
+        if len(fitting) == 1:
+            wanted = not {*_WORDS["wanted"].split()}.isdisjoint(words)
+            label = " ".join(word for word in words if word.isdecimal())
+            return Named(fitting[0][0], _UNSURE, wanted, label, fitting[0][1])
+    return Named("", 0, False, inside, "")
 
 
 def _unit_in_name(channel: str, words: Sequence[str]) -> str:

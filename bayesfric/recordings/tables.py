@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array, Flags, Index
 
 # possessive, so that it fails at the first wrong character
@@ -43,6 +44,7 @@ class Table:
     units: Sequence[str] = ()  # one a column as in the file, empty for none
     # names of the columns of time stamps, by the names of the columns that have stamps of their own
     clocks: Mapping[str, str] = field(default_factory=dict)
+    unpaired: Mapping[str, str] = field(default_factory=dict)  # clocks that a column may have
     lines: Sequence[int] | None = None  # line of every row (n,) in a text file
     header: str = ""  # place of the names in a text file, for messages
     decimal: str = "."  # mark of cells that are text
@@ -240,6 +242,20 @@ class Table:
         note = f"repeats: {int(again.sum())} of {again.size + 1} rows repeat the one before"
         return replace(self.at(rows, again.size + 1), notes=(*self.notes, f"{note}, left out"))
 
+    def _seconds(self, clock: str | int) -> float:
+        """Return the unit of time stamps, as in the file."""
+        unit = self.units[self.place(clock)[0]] if self.units else ""
+        return units.scale([unit or "s"], "time")
+
+    def doubts(self, keys: Sequence[str | int]) -> list[str]:
+        """Say which of some columns may be of other clocks than the rows by which they are read."""
+        places = dict.fromkeys(self.place(key)[0] for key in keys if key)
+        names = [self.names[place] for place in places]
+        if not (doubtful := [name for name in names if name in self.unpaired]):
+            return []
+        clocks = f"but may be of another of the clocks {self.unpaired[doubtful[0]]}"
+        return [f"time: {', '.join(doubtful)} are paired by rows, {clocks}"]
+
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""
         return self.clocks.get(self.names[self.place(key)[0]])
@@ -273,8 +289,8 @@ class Table:
         for key in keys:
             present, time = ~self.holes(key), stamps
             own = self.clock(key) if clock in self.clocks.values() else None
-            if own not in (None, clock):
-                time = self.stamps(own)
+            if own is not None and clock is not None and own != clock:
+                time = self.stamps(own) * (self._seconds(own) / self._seconds(clock))
             if present.size != time.size:
                 problem = f"has {present.size} values, column '{first}' has {time.size}"
                 raise BadInput(self.label(key), problem, "give columns of one length")

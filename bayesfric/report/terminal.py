@@ -120,11 +120,12 @@ def brief(summary: Readable, messages: Sequence[Message] | None = None) -> dict[
         # in tables only: the noise, and efficiencies, which alphas are already
         if not (of_noise(name) or quantity_of(name).startswith("efficiency"))
     }
-    own = [row for name, row in rows.items() if name in read.joint]
+    parameters = [row for name, row in rows.items() if name in read.joint]
     shown = [
         name
         for name, row in rows.items()
-        if row.status != "unidentified" and (name in read.joint or not _is_rescaled(row, own))
+        if row.status != "unidentified"
+        and (name in read.joint or not _is_rescaled(row, parameters))
     ]
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
     directions = read.identifiability.null_directions

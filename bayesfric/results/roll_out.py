@@ -102,8 +102,8 @@ class RollOut:
     def summary(self) -> dict[str, Any]:
         """Its numbers for ``summary.json``: of each recording, and of all together."""
 
-        def row(errors: dict[str, Error], **more: Any) -> dict[str, Any]:
-            return {quantity: vars(error) for quantity, error in errors.items()} | more
+        def row(errors: dict[str, Error], **columns: Any) -> dict[str, Any]:
+            return {quantity: vars(error) for quantity, error in errors.items()} | columns
 
         keys = ("blind", "over", "part", "input")
         shares = {key: float(np.mean([getattr(r, key) for r in self.rolled])) for key in keys[:2]}

@@ -126,11 +126,11 @@ def rollout(
 
     # fitted recordings calibrate the share of the residual torque, at most twelve by forty draws
     fitted = recordings_of_run(run, every=True)[len(run.model.held_out) :]
-    few, shares = run.values(run.picked(min(40, draws))), {}
+    picked, shares = run.values(run.picked(min(40, draws))), {}
     for recording in fitted[:: -(-len(fitted) // 12)]:
         m = recording.measurement
         progress(Progress(f"unexplained torque: {m.name}"))
-        (without, _), (disturbed, _) = simulations(recording, few, np.ones(len(few)))
+        (without, _), (disturbed, _) = simulations(recording, picked, np.ones(len(picked)))
         rounding = _ROUNDING * recording.observation.position_step
         stays = ~_overturned(run.joint, m.position, without, disturbed)
         shares[m.name] = moving_share(m.position, without[stays], disturbed[stays], rounding)

@@ -4,16 +4,19 @@ Each is drawn by its number: names, order of columns, share of holes, rates and 
 has to be the truth, or what is wrong has to be named.
 """
 
+import json
 import re
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import implausible
-from bayesfric.recordings.recognition import named, recognise
+from bayesfric.recordings.readers import TableOptions, read_table
+from bayesfric.recordings.recognition import named, recognise, with_clocks
 from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Columns, Processing, Recording
 from bayesfric.recordings.tables import Table
@@ -257,6 +260,141 @@ def test_an_effort_of_another_joint_is_not_taken(number):
     columns[form.format(j=other, s=rng.choice(["torque", "current"]))] = drive(t)
     names, _ = chosen(shuffled(rng, columns))
     assert names.keys() == {"time", "position"}
+
+
+MEASURED = ("actual", "measured", "meas", "present", "feedback", "pv", "is", "ist", "")
+COMMANDS = (
+    "demand", "planned", "set", "soll", "nominal", "expected", "reference", "model", "sim",
+    "target", "cmd",
+)  # fmt: skip
+
+
+@VARIANTS
+def test_the_measured_one_of_several(number):
+    """Before a name that does not say so, which is before a command; of two others neither."""
+    rng = np.random.default_rng([11, number])
+    t, word = 0.004 * np.arange(1000), MEASURED[number % 9]
+    form = ["{s}_{w}", "{w}_{s}", "{s} {w} value", "{s}_{w}_rad", "{w}.{s}"][number % 5]
+    measured = form.format(s="position", w=word) if word else "position"
+    columns = {"time": t, measured: angle(t), "torque_raw": drive(t)}
+    for other in rng.choice(COMMANDS, 3, replace=False):
+        columns[form.format(s="position", w=other)] = angle(t + 0.01)
+    if word:
+        columns["position"] = angle(t + 0.02)
+    names, log = chosen(shuffled(rng, columns))
+    assert names == {"time": "time", "position": measured, "torque": "torque_raw"}
+    assert log.joint == ""
+    again = form.format(s="position", w=word and MEASURED[(number + 1) % 8]) if word else "Position"
+    if again == measured:
+        return
+    names, log = chosen(shuffled(rng, {**columns, again: angle(t - 0.01)}))
+    if word and MEASURED[(number + 1) % 8]:
+        assert names["position"] == units.OPEN
+        assert all(name in " ".join(log.problems) for name in (measured, again))
+    names, _ = chosen(shuffled(rng, {**columns, again: columns[measured]}))
+    assert names["position"] in (measured, again)
+
+
+STAMPED = [
+    ("enc_time", "drv_time", "enc_pos", "drv_torque"), ("t1", "t2", "q1", "tau2"),
+    ("enc/t_ms", "drv/t_us", "enc/q", "drv/tau"), ("t_enc", "t_drv", "q_enc", "tau_drv"),
+    ("a.stamps", "b.stamps", "a.angle", "b.torque"), ("enc/t_sec", "amp/time_ms", "enc/q", "amp/i"),
+    ("log/enc/time_us", "log/drv/time_us", "log/enc/pos", "log/drv/effort"),
+    ("encoder_time", "drive_time", "encoder_position", "drive_torque"),
+    ("t1", "t2", "q", "tau"), ("Time", "Time.1", "ActPos_deg", "ActTorque_Nm"),
+]  # fmt: skip
+
+
+@VARIANTS
+def test_each_column_is_paired_by_the_clock_of_its_words(number):
+    """Or the two clocks are named; of other epochs, or the same, they are one."""
+    rng = np.random.default_rng([12, number])
+    clock, other, position, torque = STAMPED[number // 2]
+    t = np.arange(0.0, 10.0, 1.0 / rng.uniform(200.0, 500.0))
+    late = t + rng.uniform(0.02, 0.03)
+    scale, second = (units.scale([named(c).unit or "s"], "time") for c in (clock, other))
+    columns = {clock: t / scale, other: late / second, position: angle(t), torque: drive(late)}
+    table = with_clocks(shuffled(rng, columns))
+    names, _ = chosen(table)
+    assert (names["time"], names["position"]) == (clock, position)
+    if number // 2 > 7:
+        assert not table.clocks
+        (doubt,) = table.doubts([position, torque])
+        assert all(name in doubt for name in (clock, other, position, torque))
+        unit = {"column": clock, "unit": named(clock).unit or "s"}
+        _, said = noted(lambda: configured(table, time=unit, position=position, torque=torque))
+        assert doubt in said
+    else:
+        assert table.clocks == {position: clock, torque: other}
+        time = {"column": clock, "unit": named(clock).unit or "s"}
+        recording = configured(table, time=time, position=position, torque=torque)
+        error = CURVATURE * (t[1] - t[0]) ** 2 / 8.0
+        np.testing.assert_allclose(recording.torque, drive(recording.time), atol=error)
+        np.testing.assert_allclose(recording.position, angle(recording.time), atol=1e-9)
+    columns[other] = (t + (1e6 if number % 2 else 0.0)) / second
+    table = with_clocks(shuffled(rng, columns))
+    assert not table.clocks
+    assert not table.unpaired
+
+
+FOREIGN = [
+    ("Zeit [s]", "Winkel [rad]", "Drehzahl [1/min]", "Drehmoment [Nm]"),
+    ("Temps (ms)", "Angle mesuré (deg)", "Vitesse (rpm)", "Couple (mNm)"),
+    ("tempo_ms", "angolo_deg", "giri_rpm", "coppia_Nm"),
+    ("aika_us", "kulma_rad", "nopeus_rpm", "vääntö_Nm"),
+    ("datetime", "winkel_deg", "rpm", "strom_mA"),
+]  # fmt: skip
+
+
+@VARIANTS
+def test_a_unit_of_one_channel_needs_no_known_name(number):
+    """In brackets, as a suffix or in a row of units; a known name is before it."""
+    rng = np.random.default_rng([13, number])
+    t, foreign = 0.004 * np.arange(1000), list(FOREIGN[number % 5])
+    stamps = (pd.Timestamp("2026-03-02") + pd.to_timedelta(t, unit="s")).astype(str).to_numpy()
+    scale = units.scale([named(foreign[0]).unit or "s"], "time")
+    time = stamps.astype(object) if number % 5 == 4 else t / scale
+    values = [time, angle(t), speed(t), drive(t)]
+    if number == 0:
+        table = Table(
+            "log", ["a", "b", "c", "d"], values.__getitem__, units=["s", "rad", "rpm", "A"]
+        )
+        foreign = list(table.names)
+    else:
+        columns = dict(zip(foreign, values, strict=True))
+        table = shuffled(rng, columns | {"Latenz [ms]": rng.random(t.size)})
+    names, log = chosen(table)
+    assert list(names.values()) == foreign
+    assert all(unit for _, unit in log.chosen.values())
+    extra = {"pos": angle(t), "torque": drive(t), "Temperatur [°C]": 20.0 + drive(t)}
+    names, _ = chosen(shuffled(rng, dict(zip(foreign, values, strict=True)) | extra))
+    assert (names["position"], names["torque"]) in (("pos", "torque"),)
+
+
+@pytest.mark.parametrize("kind", ["mat", "json", "jsonl"])
+def test_nested_objects_are_columns_by_their_paths(kind, tmp_path):
+    t = 0.004 * np.arange(1000)
+    late = t + 0.01
+    content = {
+        "log": {"enc": {"time": t, "q": angle(t)}, "drv": {"time": late, "tau": drive(late)}}
+    }
+    lists = {"log": {k: {n: x.tolist() for n, x in v.items()} for k, v in content["log"].items()}}
+    path = tmp_path / f"log.{kind}"
+    if kind == "mat":
+        savemat(path, content)
+    elif kind == "json":
+        path.write_text(json.dumps(lists))
+    else:
+        rows = (
+            {k: {n: x[i] for n, x in v.items()} for k, v in lists["log"].items()}
+            for i in range(t.size)
+        )
+        path.write_text("\n".join(json.dumps({"log": row}) for row in rows))
+    table = read_table(path, TableOptions())
+    assert table.clocks == {"log.enc.q": "log.enc.time", "log.drv.tau": "log.drv.time"}
+    names, _ = chosen(table)
+    assert names == {"time": "log.enc.time", "position": "log.enc.q", "torque": "log.drv.tau"}
+    np.testing.assert_array_equal(table.values("log.drv.tau"), drive(late))
 
 
 # -- units, prefixes, and words

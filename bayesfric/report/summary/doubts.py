@@ -293,8 +293,8 @@ def references_off(summary: Summary) -> dict[str, float]:
         if row is None or row.verdict == "prior" or not row.converged:
             continue
         value = unwrapped(reference, row.middle if row.period else None).value
-        own = sd_towards(value, row.middle, row.reported.interval, row.reported.sd)
-        sd = float(np.hypot(own, reference.sd or 0.0))
+        posterior_sd = sd_towards(value, row.middle, row.reported.interval, row.reported.sd)
+        sd = float(np.hypot(posterior_sd, reference.sd or 0.0))
         if abs(row.middle - value) > CONTRADICTED * sd > 0.0:
             off[name] = abs(row.middle - value) / sd
     return off
