@@ -146,7 +146,8 @@ def _log_configuration(
     }
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
-    unknown = list(log.problems)
+    taken = [column for key, (column, _) in log.chosen.items() if key != "time" and column != OPEN]
+    unknown = [*log.problems, *table.doubts(taken)]
     if "position" not in channels:
         unknown.append("the position: no column is named so, and the velocity will be integrated")
     if preset is None:

@@ -271,6 +271,7 @@ class Regression:
             allowed &= ~transient
         log_filter = SMOOTHED, self.smoothed
         smoothed = not extra and log_filter in [(key.kind, key.shape) for key, _ in self.groups]
+        allowed[len(self.groups) :] &= not smoothed
         for i, (key, columns) in enumerate(self.groups):
             kind = BY_NAME[key.kind]
             if smoothed:

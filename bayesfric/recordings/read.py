@@ -139,7 +139,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
         checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
-    warnings += [*grid.warnings, *_count_warnings(source, table, chosen)]
+    warnings += [
+        *table.doubts(source.columns),
+        *grid.warnings,
+        *_count_warnings(source, table, chosen),
+    ]
     for key, signed in source.channels.items():
         if key in _MEASURED and not source.steady:
             checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)

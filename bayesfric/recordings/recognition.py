@@ -209,7 +209,7 @@ def _same(one: Array, other: Array) -> bool:
 def with_clocks(table: Table) -> Table:
     """Pair columns with the time stamps that share their group, word or number, if several differ.
 
-    A note says which cannot be paired so.
+    Recognised columns that cannot be paired so are ``unpaired``.
     """
     marks = list(table.units or [""] * len(table.names))
     times = dict[str, Array]()
@@ -227,7 +227,7 @@ def with_clocks(table: Table) -> Table:
     if len(clocks) < 2 or len({marks[table.names.index(name)] == "" for name in clocks}) > 1:
         return table
     grouped = any(_divided(name)[0] for name in table.names)
-    pairs, others = dict[str, str](), list[str]()
+    pairs, unpaired = dict[str, str](), dict[str, str]()
     for name in (name for name in table.names if name not in times):
         words = _place(name, grouped)
         shared = sorted(
@@ -236,10 +236,8 @@ def with_clocks(table: Table) -> Table:
         if shared[-1][0] > shared[-2][0]:
             pairs[name] = shared[-1][1]
         elif named(name).channel:
-            others.append(name)
-    note = f"{len(clocks)} clocks: {', '.join(clocks)}; rows of {', '.join(others)} are paired by "
-    notes = (f"{note}the column of time",) if others else ()
-    return replace(table, clocks=pairs, units=marks, notes=(*table.notes, *notes))
+            unpaired[name] = ", ".join(clocks)
+    return replace(table, clocks=pairs, unpaired=unpaired, units=marks)
 
 
 def _as_one(time: Array, other: Array) -> bool:

@@ -44,6 +44,7 @@ class Table:
     units: Sequence[str] = ()  # one a column as in the file, empty for none
     # names of the columns of time stamps, by the names of the columns that have stamps of their own
     clocks: Mapping[str, str] = field(default_factory=dict)
+    unpaired: Mapping[str, str] = field(default_factory=dict)  # clocks that a column may have
     lines: Sequence[int] | None = None  # line of every row (n,) in a text file
     header: str = ""  # place of the names in a text file, for messages
     decimal: str = "."  # mark of cells that are text
@@ -245,6 +246,15 @@ class Table:
         """Return the unit of time stamps, as in the file."""
         unit = self.units[self.place(clock)[0]] if self.units else ""
         return units.scale([unit or "s"], "time")
+
+    def doubts(self, keys: Sequence[str | int]) -> list[str]:
+        """Say which of some columns may be of other clocks than the rows by which they are read."""
+        places = dict.fromkeys(self.place(key)[0] for key in keys if key)
+        names = [self.names[place] for place in places]
+        if not (doubtful := [name for name in names if name in self.unpaired]):
+            return []
+        clocks = f"but may be of another of the clocks {self.unpaired[doubtful[0]]}"
+        return [f"time: {', '.join(doubtful)} are paired by rows, {clocks}"]
 
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""

@@ -171,6 +171,18 @@ def test_one_missing_effect_is_named_and_nothing_else(kind, noise):
     assert (tuple(first.columns) in shapes) or exact is None
 
 
+@pytest.mark.parametrize("larger", [sinusoid, far_delay, effect_of("elastic", 1.5)])
+def test_what_a_low_passed_log_lacks_is_named_before_larger_effects(larger):
+    def renamed(d):
+        keys = [Key("smoothed", "3 Hz", 0) if k.kind == "offset" else k for k in d.keys]
+        return replace(d, keys=tuple(keys))
+
+    r = selection(lambda d: larger(d) + effect_of("offset", 0.4)(d), seed=4, change=renamed)
+    assert r.effects()[0].kind != "smoothed"
+    r.smoothed = "3 Hz"
+    assert r.effects()[0].kind == "smoothed"
+
+
 def test_several_effects_are_included_one_after_the_other():
     """The one that explains most first, a transient last; a kind with all its shapes."""
 

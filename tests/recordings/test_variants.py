@@ -319,7 +319,11 @@ def test_each_column_is_paired_by_the_clock_of_its_words(number):
     assert (names["time"], names["position"]) == (clock, position)
     if number // 2 > 7:
         assert not table.clocks
-        assert all(name in " ".join(table.notes) for name in (clock, other))
+        (doubt,) = table.doubts([position, torque])
+        assert all(name in doubt for name in (clock, other, position, torque))
+        unit = {"column": clock, "unit": named(clock).unit or "s"}
+        _, said = noted(lambda: configured(table, time=unit, position=position, torque=torque))
+        assert doubt in said
     else:
         assert table.clocks == {position: clock, torque: other}
         time = {"column": clock, "unit": named(clock).unit or "s"}
@@ -330,7 +334,7 @@ def test_each_column_is_paired_by_the_clock_of_its_words(number):
     columns[other] = (t + (1e6 if number % 2 else 0.0)) / second
     table = with_clocks(shuffled(rng, columns))
     assert not table.clocks
-    assert not table.notes
+    assert not table.unpaired
 
 
 FOREIGN = [
