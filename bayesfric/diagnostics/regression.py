@@ -66,7 +66,7 @@ from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical
 from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.derived import derivatives
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.source import Processing
@@ -340,7 +340,7 @@ class Regression:
     def _share(self, columns: Sequence[int], coefficients: Array) -> float:
         """Return the rms of a candidate's torque over that of all torque."""
         torque = self.data.others[:, columns] @ coefficients
-        return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
+        return rms(torque) / self.scales.torque
 
     def _collinear(
         self,

@@ -107,7 +107,7 @@ def least_squares(
     return Estimate(
         method="least-squares",
         values=tuple(values),
-        residual_rms=float(np.sqrt(np.mean(residual**2))),
+        residual_rms=rms(residual),
         n_outputs=torque.size,
         assumption=assumption,
         residual_unit="N m" if joint.motor_motion == "rotary" else "N",

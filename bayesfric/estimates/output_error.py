@@ -31,7 +31,7 @@ from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.trajectory import Trajectory, divided
 
@@ -313,7 +313,7 @@ class OutputError:
         # steps of the states' differences
         speeds = np.concatenate([o.qd for o in observations])
         self.span = max(float(np.ptp(t.position)) for t in trajectories) or 1e-12
-        speed = max(float(np.sqrt(np.mean(speeds**2))), 1e-12)
+        speed = max(rms(speeds), 1e-12)
         self._state_steps = _STEP * self.span, _STEP * speed
 
     @property
@@ -402,8 +402,7 @@ class OutputError:
             )
             notes.insert(0, f"NOT CONVERGED, these numbers are not an estimate: {reason}")
         before, after = (
-            float(np.sqrt(np.mean(self.torque.torque_error(v[self.columns]) ** 2)))
-            for v in (start, self.values)
+            rms(self.torque.torque_error(v[self.columns])) for v in (start, self.values)
         )
         if self.converged and after > worse * before:
             notes.insert(
@@ -414,7 +413,7 @@ class OutputError:
         return Estimate(
             method="output-error",
             values=values,
-            residual_rms=float(np.sqrt(np.mean(self.residual**2))),
+            residual_rms=rms(self.residual),
             n_outputs=self.residual.size,
             assumption="sd: uncorrelated noise of the position; sd_robust: residuals correlated "
             "in any way within segments, as noise of the torque makes them",
@@ -451,7 +450,7 @@ class OutputError:
         lower, upper = self.torque.lower, self.torque.upper
         x, states = self.values[self.columns], self.states
         left = shooting.measured - shooting.positions(self.values[None], states)[0]
-        sd = float(np.sqrt(np.mean((weights * left) ** 2)))  # scale of the priors
+        sd = rms(weights * left)  # scale of the priors
         # where the states are known to fit, their slopes there, and the last trial
         point, slopes = (x, states), np.zeros((*states.shape, 1 + x.size))
         trial = best = (x, states, left)
@@ -536,8 +535,8 @@ class OutputError:
         steps = 1e-6 + 1e-4 * sizes
         jacobian = torque_jacobian(self.chain, self.observations, self.values, steps)
         torque = np.concatenate([o.measured for o in self.observations])
-        effect, rms = np.sqrt(np.mean(jacobian**2, axis=0)), np.sqrt(np.mean(torque**2))
-        units = np.where(rms * effect > 0.0, rms / np.where(effect > 0.0, effect, 1.0), sizes)
+        effect, size = np.sqrt(np.mean(jacobian**2, axis=0)), rms(torque)
+        units = np.where(size * effect > 0.0, size / np.where(effect > 0.0, effect, 1.0), sizes)
         return np.asarray(units[self.columns])
 
     def _weights(self) -> Array:

@@ -39,8 +39,8 @@ from bayesfric.fit.result import result_of
 from bayesfric.identifiability.friction_curve import covered
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Parameter
-from bayesfric.recordings.arrays import Array
-from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
+from bayesfric.recordings.arrays import Array, rms
+from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.results.reported import ORDER
 
 _DRAWS = 400  # for intervals
@@ -179,8 +179,8 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
     draws = {name: x[1:] for name, x in fitted.items()}
     first = {name: x[:1] for name, x in fitted.items()}
     off = form.torque(joint, vectors.point, first, motions) - law_torque
-    motor = {"rms": rms_of(off), "largest": float(np.abs(off).max())}
-    error = {"motor": motor, "torque_rms": rms_of(law_torque)}
+    motor = {"rms": rms(off), "largest": float(np.abs(off).max())}
+    error = {"motor": motor, "torque_rms": rms(law_torque)}
     readers = [options.program] if options.program else programs().get(form.name, {}).values()
     motor_unit = "N m" if joint.motor_motion == "rotary" else "N"
     lost = lost_terms(joint, form, vectors.point, motions)
@@ -275,7 +275,7 @@ def lost_terms(
             kind = 2 if number in LINK_AND_DRIVE else number in ("stiffness", "stiffness_cubic")
             fitted, columns, inverse = bases[kind]
             left = term - columns @ (inverse @ term)
-            sizes: dict[str, Any] = {"torque": rms_of(term), "left": rms_of(left), "fitted": fitted}
+            sizes: dict[str, Any] = {"torque": rms(term), "left": rms(left), "fitted": fitted}
             sizes["torque_unit"] = "N m" if joint.motor_motion == "rotary" else "N"
             lost.append({"kind": "fitted", **row, **sizes})
     return lost
@@ -411,8 +411,8 @@ def _in_program(
         for name, factor in plain.items():
             alone = simulated_torque(joint, numbers | {name: factor * numbers[name]}, motions)[0]
             term = {"number": name, "factor": factor, "stored": name in program.stored}
-            row["changed"].append({**term, "torque": rms_of(written - alone)})
+            row["changed"].append({**term, "torque": rms(written - alone)})
         read = numbers | {name: factor * numbers[name] for name, factor in plain.items()}
-        row["error"] = rms_of(simulated_torque(joint, read, motions)[0] - law)
+        row["error"] = rms(simulated_torque(joint, read, motions)[0] - law)
     unit = "N m" if joint.motor_motion == "rotary" else "N"
-    return row | {"says": filled("program.txt.j2", **row, whole=rms_of(law), unit=unit).strip()}
+    return row | {"says": filled("program.txt.j2", **row, whole=rms(law), unit=unit).strip()}

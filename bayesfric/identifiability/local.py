@@ -22,7 +22,7 @@ from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import LocalUnits, Target, units_of
 from bayesfric.mechanism.derived import Derived, derivatives
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.signals import Signals
 from bayesfric.results.reported import Determined
 
@@ -324,7 +324,7 @@ def _likely_scales(target: Target, values: Array) -> Array:
     residuals = [o.measured - p[0] for o, p in zip(likelihood.outputs, predicted, strict=True)]
     scales = np.tile(likelihood.noise.starts(1.0)[0], (len(residuals), 1))
     if order := likelihood.noise.order:
-        sizes = [float(np.sqrt(np.mean(x**2))) or 1.0 for x in residuals]
+        sizes = [rms(x) or 1.0 for x in residuals]
         unit = [x / size for x, size in zip(residuals, sizes, strict=True)]
         scales[:, 1:] = burg(unit, [o.follows for o in likelihood.outputs], order)
     scales[:, 0] = 1.0

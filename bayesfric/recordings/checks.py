@@ -10,7 +10,16 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, runs, without_excluded
+from bayesfric.recordings.arrays import (
+    Array,
+    Flags,
+    Index,
+    Segments,
+    near,
+    rms,
+    runs,
+    without_excluded,
+)
 from bayesfric.recordings.filters import finest_step, lay_windows
 from bayesfric.recordings.measurement import Measurement
 
@@ -376,7 +385,7 @@ def feedback(
     # a joint reverses some time after an open-loop torque, and together with one that follows it
     turns = np.flatnonzero(np.diff(np.sign(torque)) != 0)
     at_turns = np.minimum(np.abs(velocity[turns]), np.abs(velocity[turns + 1]))
-    follows = turns.size and float(np.median(at_turns)) < 0.2 * float(np.sqrt(np.mean(v**2)))
+    follows = turns.size and float(np.median(at_turns)) < 0.2 * rms(v)
     if min(two_levels, same) > 0.9 and follows:
         return "sign of speed", same
     columns = np.column_stack([np.ones_like(t), q, v])

@@ -813,9 +813,10 @@ def _read_wpilog(path: Path, options: TableOptions) -> Table:
         )
         begin, at = parts[-1], parts[-1] + size
         if entry == 0 and data[begin] == 0:  # an entry starts: its number, name and type
-            name = text(begin + 5).lstrip("/")
-            entries[int.from_bytes(data[begin + 1 : begin + 5], "little")] = name
-            records.setdefault(name, (text(begin + 9 + len(text(begin + 5).encode())), []))
+            name = text(begin + 5)
+            kind = text(begin + 9 + len(name.encode()))
+            name = entries[int.from_bytes(data[begin + 1 : begin + 5], "little")] = name.lstrip("/")
+            records.setdefault(name, (kind, []))
         elif entry in entries and at <= len(data):
             records[entries[entry]][1].append((stamp, data[begin:at]))
     columns, values = dict[str, tuple[str, str]](), dict[str, NDArray[Any]]()

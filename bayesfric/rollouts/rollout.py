@@ -27,12 +27,11 @@ from bayesfric.problem.config import (
     read_toml,
     recording_table,
 )
-from bayesfric.recordings.arrays import Array, Flags, without_excluded
+from bayesfric.recordings.arrays import Array, Flags, rms, without_excluded
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law, Measurement
 from bayesfric.recordings.signals import Signals
 from bayesfric.recordings.source import Recording
-from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 
 # Standard deviation of an encoder's rounding error, in steps.
@@ -141,8 +140,8 @@ def rollout(
         progress(Progress(f"roll-out: {recording.measurement.name}"))
         compared.append(_compare(run, recording, *simulations(recording, picked, share_of_draw)))
     unit = "N m" if run.joint.motor_motion == "rotary" else "N"
-    rms = rms_of(np.concatenate([values for values, _ in residuals]))
-    return RollOut(run.name, tuple(compared), len(picked), seed, shares, rms, unit)
+    left = rms(np.concatenate([values for values, _ in residuals]))
+    return RollOut(run.name, tuple(compared), len(picked), seed, shares, left, unit)
 
 
 def _simulate(
@@ -287,9 +286,9 @@ def _bands(
         float(np.mean(((low <= measured) & (measured <= high))[used]))
         for low, high in (band, narrow)
     )
-    mean, rms = float(np.mean(np.abs(difference))), rms_of(difference)
+    mean, rmse = float(np.mean(np.abs(difference))), rms(difference)
     width = float(np.median((band[1] - band[0])[used]))
-    return band, narrow, middle, Error(mean, rms, inside, inside_alone, width)
+    return band, narrow, middle, Error(mean, rmse, inside, inside_alone, width)
 
 
 def recordings_of_run(run: Result, *, every: bool = False) -> list[PreparedRecording]:

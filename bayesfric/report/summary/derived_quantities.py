@@ -75,11 +75,6 @@ def described_as(quantity: Any) -> dict[str, Any]:
     return {key: getattr(quantity, key) for key in Described.model_fields}
 
 
-def rms_of(x: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(x**2)))
-
-
 def spread(x: Array) -> dict[str, Any]:
     """Give mean, sd, median and interval of the finite draws."""
     x = x[np.isfinite(x)]

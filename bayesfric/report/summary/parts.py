@@ -23,9 +23,9 @@ from bayesfric.identifiability.friction_curve import friction_curves, friction_t
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood import Outputs
 from bayesfric.inference.posterior import Prediction
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, rms
 from bayesfric.report.numbers import Medium
-from bayesfric.report.summary.derived_quantities import Groups, rms_of
+from bayesfric.report.summary.derived_quantities import Groups
 from bayesfric.report.summary.record import PosteriorRow, Summary, of_noise
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import LEVEL, Status
@@ -98,7 +98,7 @@ def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) ->
         "held_out": part,
         "outputs": residual.size,
         "coverage": {f"{level:g}": share for level, share in shares.items()},
-        "residual_rms": rms_of(residual),
+        "residual_rms": rms(residual),
         "predictive_sd": math.sqrt(float(variance.mean())),
         "discrepancy": off,
         "verdict": verdict,

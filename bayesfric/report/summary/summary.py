@@ -22,7 +22,7 @@ from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES, NoiseChoice
 from bayesfric.inference.posterior import Posterior
 from bayesfric.mechanism.quantities import TURN, effort_words
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, rms
 from bayesfric.report.summary.derived_quantities import (
     Groups,
     derived_rows,
@@ -30,7 +30,6 @@ from bayesfric.report.summary.derived_quantities import (
     determination,
     groups,
     leaning,
-    rms_of,
     spread,
 )
 from bayesfric.report.summary.doubts import bound_warning
@@ -133,8 +132,8 @@ def _residual(fit: Fit) -> Residual:
     constants = {o.settings.get("torque_constant") for o in observations}
     (constant,) = constants if len(constants) == 1 and of_torque else (None,)
     return Residual(
-        residual_rms=rms_of(np.concatenate(fit.residuals)),
-        measured_rms=rms_of(measured) if of_torque else None,
+        residual_rms=rms(np.concatenate(fit.residuals)),
+        measured_rms=rms(measured) if of_torque else None,
         # any simulated position is near the measured one
         explained=1.0 - left / total if of_torque and total > 0.0 else None,
         torque_constant=None if constant is None else float(constant),
@@ -142,7 +141,7 @@ def _residual(fit: Fit) -> Residual:
         quantity=outputs[0].quantity,
         recordings={
             o.name: {
-                "residual_rms": rms_of(r),
+                "residual_rms": rms(r),
                 "residual_lag1": _number(lag_one(r, o.follows)),
                 "outputs": int(o.measured.size),
                 **observation.settings,
@@ -266,7 +265,7 @@ def _noise(fit: Fit, choice: NoiseChoice | None, *, lags: int = 10) -> Noise:
 
 def mean_lag(residuals: Sequence[Array], follows: Sequence[Flags]) -> float | None:
     """Correlate each residual with the next, scaled by its recording's rms."""
-    scaled = [r / max(rms_of(r), 1e-300) for r in residuals]
+    scaled = [r / max(rms(r), 1e-300) for r in residuals]
     # no pair reaches from one recording to the next
     runs = [np.append(f, False)[: r.size] for r, f in zip(scaled, follows, strict=True)]
     return _number(lag_one(np.concatenate(scaled), np.concatenate(runs)[:-1]))
