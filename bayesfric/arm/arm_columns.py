@@ -127,7 +127,7 @@ def _matched(
     label_of = {joint_in(label): label for label in labels}
     matched = {name: label_of[joint_in(name)] for name in joints if joint_in(name) in label_of}
     numbered = {n: label for label in labels if (n := _number(label)) is not None}
-    by_number = {_number(name): name for name in reversed(joints)}  # an arm before its gripper
+    by_number = {_number(name): name for name in reversed([*joints])}  # an arm before its gripper
     from_zero = 0 in numbered and 0 not in by_number
     if matched and not from_zero:
         return matched, []
@@ -189,7 +189,7 @@ def _by_place(table: Table, joints: Joints) -> tuple[Layout, list[str]]:
 def _is_derivative(velocity: Array, position: Array, time: Array) -> bool:
     """Whether signals ``(n_joints, n)`` are the derivatives of others, by integration."""
     for v, q in zip(velocity, position, strict=True):
-        x = np.stack([cumulative_trapezoid(v, time, initial=0.0), time, np.ones_like(time)], axis=1)
+        x = np.stack([cumulative_trapezoid(v, time, initial=0), time, np.ones_like(time)], axis=1)
         slopes = np.linalg.lstsq(x, q, rcond=None)[0]
         close = np.var(q - x @ slopes) <= 0.05 * np.var(q)
         if np.ptp(q) > 0.0 and not (close and abs(slopes[0] - 1.0) < 0.2):

@@ -344,7 +344,9 @@ class FittedArm:
     def text(self) -> list[str]:
         """Lay out the numbers as those of a fit are, with the messages below, for a terminal."""
         level = next(iter(self.fitted.values())).fitted.summary.level
-        table, unidentified = [("", "value", "sd", f"{100 * level:g} % interval", "", "status")], []
+        table: list[tuple[str, ...]]
+        table = [("", "value", "sd", f"{100 * level:g} % interval", "", "status")]
+        unidentified = list[str]()
         for name, joint in self.fitted.items():
             for title, row in joint.cells.items():
                 if row is not None and row.reported.status == "unidentified":
