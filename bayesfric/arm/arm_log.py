@@ -1,8 +1,7 @@
-"""A log of an arm: which column belongs to which joint, and the motion of all joints."""
+"""A log of an arm: the rows in which all joints have values, and their motion."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from bayesfric.arm.arm_options import ArmOptions, JointOptions
+from bayesfric.arm.arm_columns import Joints, Layout
+from bayesfric.arm.arm_options import ArmOptions
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
@@ -27,61 +27,11 @@ from bayesfric.recordings.read import (
     read_recordings,
 )
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.signals import filtered_motion
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source, Torque
 from bayesfric.recordings.tables import Table
-from bayesfric.recordings.units import OPEN
 
 _URDF_TORQUE, _STAMPS = "urdf_torque", "stamps in s"
-Joints = Mapping[str, UrdfJoint]
-# Columns of a log with {joint} for a joint's label, and the label of each joint.
-Layout = tuple[Mapping[str, Any], Mapping[str, str]]
-
-
-def layout_of(
-    path: Path, joints: Joints, layout: Mapping[str, Any], *, in_order: bool = False
-) -> Layout:
-    """Recognise the columns of a log's joints by the names of the URDF's joints.
-
-    With ``in_order`` as many joints of other names are matched in the URDF's order.
-    """
-
-    def joint_in(name: str) -> str:
-        """Return the part of a column's name that identifies its joint."""
-        return named(f"{name} position").joint or name
-
-    opened = read_table(path, TableOptions.model_validate(layout))
-    log = recognise(opened)
-    label_of = {joint_in(label): label for label in log.joints or [log.joint]}
-    labels = {name: label_of[joint_in(name)] for name in joints if joint_in(name) in label_of}
-    if not labels and in_order and len(label_of) == len(joints):
-        labels = dict(zip(joints, label_of.values(), strict=True))
-    if not labels:
-        in_log = ", ".join(filter(None, label_of.values())) or "none"
-        problem = f"joints of the log ({in_log}) are not those of the URDF ({', '.join(joints)})"
-        hint = "match them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
-        raise BadInput(str(path), problem, hint)
-    first, tokens = dict[str, dict[str, str]](), dict[str, str]()
-    for name, label in labels.items():
-        chosen = recognise(opened, label).chosen
-        chosen.pop("temperature", None)
-        columns = [column for key, (column, _) in chosen.items() if key != "time"]
-        candidates = (name, label, "_".join(label.split()))
-        token = next((t for t in candidates if t and all(t in column for column in columns)), "")
-        tokens[name] = token
-        pattern = {
-            k: {"column": column, "unit": unit or OPEN} for k, (column, unit) in chosen.items()
-        }
-        for key in pattern.keys() - {"time"} if token else ():
-            pattern[key]["column"] = pattern[key]["column"].replace(token, "{joint}")
-        if "current" in pattern:
-            pattern["current"]["torque_constant"] = "{torque_constant}"
-        first = first or pattern
-        if not token or pattern != first:
-            problem = f"columns of joint {name!r} ({', '.join(columns)}) do not match other joints'"
-            raise BadInput(str(path), problem, "write [recording] in arm.toml, with {joint}")
-    return {**first, **layout, **({"where": log.where} if log.where else {})}, tokens
 
 
 class ArmLog:
@@ -104,22 +54,9 @@ class ArmLog:
     ) -> None:
         self.path, self.name, self._processing = path, name, options.processing
         self.loaded = options.payload.logs is None or name in options.payload.logs
-        recording, labels = layout
         self.sources: dict[str, Columns] = {}
-        for number, joint_name in enumerate(joints, start=1):
-            joint_options = options.joints.get(joint_name, JointOptions())
-            if joint_options.held is not None:
-                continue
-            placeholders = {
-                "joint": joint_options.label or labels.get(joint_name, joint_name),
-                "number": str(number),
-                "index": str(number - 1),
-                "torque_constant": joint_options.torque_constant,
-            }
-            document = {**recording, "file": str(path), "name": name}
-            self.sources[joint_name] = _source(document, joint_name, placeholders)
-        if not self.sources:
-            raise BadInput(str(path), "all joints are held", "leave out the held of one that moves")
+        for joint_name, recording in layout.items():
+            self.sources[joint_name] = _source({**recording, "file": str(path), "name": name})
         keys = {key: recording[key] for key in TableOptions.model_fields if key in recording}
         self._open(read_table(path, TableOptions.model_validate(keys)), joints, max_samples)
         held = {name: x.held for name, x in options.joints.items() if x.held is not None}
@@ -165,18 +102,18 @@ class ArmLog:
         Of more than ``max_samples`` rows some are kept, as segments all over the log.
         """
         columns = list[str | int]()
+        drives = {name: Drive(1.0, x.motion, x.motion) for name, x in joints.items()}
         for name, source in self.sources.items():
-            drive = Drive(1.0, joints[name].motion, joints[name].motion)
             self._position(source, joints[name], table)
             with suppress(BadInput):  # a drive that is missing is refused with its joint
-                self.sources[name], table = decoded(source, table, drive)
+                self.sources[name], table = decoded(source, table, drives[name])
             for column in source.columns:
                 with suppress(BadInput):
                     columns += [] if table.holes(column).all() else [column]
-        source, *_ = self.sources.values()
+        name, source = next(iter(self.sources.items()))
         other_channels = dict.fromkeys(set(CHANNELS) - {"time", "position"})
         source = source.model_copy(update={**other_channels, "others": tuple(columns)})
-        _, table, self._stamps = aligned(source, table, drive)
+        _, table, self._stamps = aligned(source, table, drives[name])
         cells = {_name(column): table.column(column) for column in columns}
         names, self.rows = list(cells), self._stamps.size
         self.table = Table(str(self.path), names, lambda i: cells[names[i]], notes=table.notes)
@@ -247,17 +184,8 @@ def _name(key: str | int) -> str:
     return key if isinstance(key, str) else f"column {key}"
 
 
-def _source(
-    recording: Mapping[str, Any], joint: str, placeholders: Mapping[str, str | None]
-) -> Source:
-    """Fill the placeholders in the texts of ``recording`` for one joint."""
-    text = json.dumps(recording, default=str)
-    for key, value in placeholders.items():
-        if value is None and f"{{{key}}}" in text:
-            hint = "write its drive gain, such as '13.6 N m/A'"
-            raise BadInput(f"joints.{joint}.{key}", "is missing", hint)
-        text = text.replace(f"{{{key}}}", json.dumps(value)[1:-1])
-    document = json.loads(text)
+def _source(document: Mapping[str, Any]) -> Source:
+    """Check the keys of one joint's columns."""
     try:
         return Source.model_validate(document)
     except ValidationError as error:

@@ -6,7 +6,9 @@ import pandas as pd
 import pytest
 
 from bayesfric.arm.arm import Arm
-from bayesfric.arm.arm_log import ArmLog, layout_of
+from bayesfric.arm.arm_columns import layout_of
+from bayesfric.arm.arm_log import ArmLog
+from bayesfric.arm.arm_options import ArmOptions
 from tests.arm import bench
 from tests.arm.bench import ELBOW, SHOULDER
 
@@ -20,7 +22,7 @@ def arm(tmp_path_factory):
 
 def opened(arm, path, max_samples=10_000):
     joints = arm.bodies.joints
-    layout = layout_of(path, joints, {})
+    layout, _ = layout_of(path, joints, arm.options)
     return ArmLog(path, "log", arm.options, layout, joints, max_samples)
 
 
@@ -51,7 +53,8 @@ def test_holes_and_own_time_stamps_change_no_motion(arm, tmp_path):
     for key, unit in {"position": "rad", "torque": "N m"}.items():
         name = {"position": "encoder/position", "torque": "drive/effort"}[key]
         units[key] = {"column": f"{name}[{{joint}}] [{unit}]", "unit": unit}
-    own = ArmLog(tmp_path / "own.h5", "log", arm.options, (units, {}), joints, 10_000)
+    layout, _ = layout_of(tmp_path / "own.h5", joints, ArmOptions(recording=units))
+    own = ArmLog(tmp_path / "own.h5", "log", arm.options, layout, joints, 10_000)
     # linear interpolation of cos(4 t) at 5 ms is right within (4 dt)**2 / 8
     for log, shift in ((holes, 0.0), (own, time[1])):  # before it there is no effort
         for joint in joints.values():
@@ -76,9 +79,9 @@ def test_efforts_without_a_unit_are_in_the_unit_that_is_given(arm, tmp_path, uni
         columns[f"{joint} effort"] = np.cos(3.0 * time)
     path = tmp_path / "log.csv"
     pd.DataFrame(columns).to_csv(path, index=False)
-    layout, assumed = arm._layout(path, unit)
-    assert bool(assumed) == (unit is None)
     joints = arm.bodies.joints
+    layout, assumed = layout_of(path, joints, arm.options, unit)
+    assert bool(assumed) == (unit is None)
     log = ArmLog(path, "log", arm.options, layout, joints, 10_000)
     for each in joints.values():
         read = log.measured(each)
