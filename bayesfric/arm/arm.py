@@ -202,7 +202,8 @@ class Arm:
             threshold, effort = np.inf, efforts.get(name)
             if isinstance(effort, Measurement):
                 _, qd, qdd = logs[0].motion[:, j, at]
-                error = resolution(effort.torque[at], qd, qdd, torques[0][j])
+                torque = np.interp(logs[0].time[at], effort.time, effort.torque)
+                error = resolution(torque, qd, qdd, torques[0][j])
                 threshold = error * np.sqrt(at.size / counts[0])
             joint_directions.append(directions(every_torque[j, 1:], threshold))
         width = max(x.shape[1] for x in joint_directions)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import derivative, lowpass_above, reach_of
+from bayesfric.recordings.filters import WIDEST, derivative, interpolated
 from bayesfric.recordings.measurement import Measurement, spread_ranges
 from bayesfric.recordings.read import (
     Drive,
@@ -27,11 +29,13 @@ from bayesfric.recordings.read import (
     read_recordings,
 )
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.signals import filtered_motion
+from bayesfric.recordings.signals import choose_filters, filtered_motion
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source, Torque
 from bayesfric.recordings.tables import Table
 
 _URDF_TORQUE, _STAMPS = "urdf_torque", "stamps in s"
+# Most rows in memory over those to fit, where averages are fitted.
+_ROWS = 10.0
 
 
 class ArmLog:
@@ -39,8 +43,8 @@ class ArmLog:
 
     ``sources`` holds the meaning of the columns by joint, ``loaded`` whether the payload is on,
     ``time`` ``(n,)`` s, ``motion`` ``(3, n_joints, n)`` position, speed and acceleration in the
-    URDF's order. The motion is low-passed as widely as any joint's fit may be: each fit filters the
-    rigid-body torque as it filters the measured one.
+    URDF's order, at the rate that the fastest motion needs. Each joint's is low-passed by what its
+    positions resolve, as in a fit of it, which filters torques of bodies and drive alike.
     """
 
     def __init__(
@@ -58,21 +62,28 @@ class ArmLog:
         for joint_name, recording in layout.items():
             self.sources[joint_name] = _source({**recording, "file": str(path), "name": name})
         keys = {key: recording[key] for key in TableOptions.model_fields if key in recording}
-        self._open(read_table(path, TableOptions.model_validate(keys)), joints, max_samples)
+        every = self._open(read_table(path, TableOptions.model_validate(keys)), joints)
         held = {name: x.held for name, x in options.joints.items() if x.held is not None}
-        motions = [held[n] if n in held else self._joint_motion(x) for n, x in joints.items()]
-        moving = [motion for motion in motions if isinstance(motion, Measurement)]
-        if not moving:
-            raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
-        self.time, fs = moving[0].time, 1.0 / moving[0].period
-        lowpass, order = options.processing.lowpass, options.processing.order
-        cutoff = lowpass_above(fs, fs) if lowpass is None else lowpass
-        reach = reach_of(options.processing.differentiation, cutoff, fs)
-        self.motion = np.zeros((3, len(motions), self.time.size))
+        processing, self._needed_rate, most = options.processing, math.inf, max_samples
+        while True:  # until the rate is what the motion needs
+            self._keep(every, most)
+            motions = [held[n] if n in held else self._joint_motion(x) for n, x in joints.items()]
+            moving = [motion for motion in motions if isinstance(motion, Measurement)]
+            if not moving:
+                raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
+            filters = [choose_filters(motion, processing) for motion in moving]
+            rate = max(x.resolution.band for x in filters) / WIDEST
+            faster = min(1.0 / moving[0].period, self._needed_rate) / rate
+            if faster < 2.0 or not processing.chooses_band:
+                break
+            self._needed_rate, most = rate, int(max_samples * min(faster, _ROWS))
+        self.time = moving[0].time
+        self.motion, filter_of = np.zeros((3, len(motions), self.time.size)), iter(filters)
         for k, motion in enumerate(motions):
             if isinstance(motion, Measurement):
-                q, qd = filtered_motion(motion, cutoff, order, reach)
-                qdd = derivative(qd, motion.segments, motion.period, reach)
+                own = next(filter_of)
+                q, qd = filtered_motion(motion, own.cutoff, processing.order, own.reach)
+                qdd = derivative(qd, motion.segments, motion.period, own.reach)
                 self.motion[:, k] = q, qd, qdd
             else:
                 self.motion[0, k] = motion
@@ -81,6 +92,11 @@ class ArmLog:
     def fitted(self) -> int:
         """Number of rows that are kept; ``rows`` is that of the file."""
         return self._stamps.size
+
+    @property
+    def period(self) -> float:
+        """Median time from row to row, s."""
+        return float(np.median(np.diff(self._stamps)))
 
     def measured(self, joint: UrdfJoint) -> Measurement:
         """Read a joint with its effort."""
@@ -93,14 +109,11 @@ class ArmLog:
         """
         names = [_URDF_TORQUE, *signals(len(torques) - 1)]
         pairs = zip(names, torques, strict=True)
-        computed = {name: np.interp(self._stamps, self.time, x) for name, x in pairs}
+        computed = {name: interpolated(self.time, x, self._stamps) for name, x in pairs}
         return self._columns(self.sources[joint.name], computed)
 
-    def _open(self, table: Table, joints: Joints, max_samples: int) -> None:
-        """Read all joints' columns, at the rows in which each has a value.
-
-        Of more than ``max_samples`` rows some are kept, as segments all over the log.
-        """
+    def _open(self, table: Table, joints: Joints) -> tuple[Table, Array, tuple[int, int]]:
+        """Read all joints' columns at the rows in which each has a value, and which are chosen."""
         columns = list[str | int]()
         drives = {name: Drive(1.0, x.motion, x.motion) for name, x in joints.items()}
         for name, source in self.sources.items():
@@ -113,14 +126,18 @@ class ArmLog:
         name, source = next(iter(self.sources.items()))
         other_channels = dict.fromkeys(set(CHANNELS) - {"time", "position"})
         source = source.model_copy(update={**other_channels, "others": tuple(columns)})
-        _, table, self._stamps = aligned(source, table, drives[name])
+        _, table, stamps = aligned(source, table, drives[name])
         cells = {_name(column): table.column(column) for column in columns}
-        names, self.rows = list(cells), self._stamps.size
-        self.table = Table(str(self.path), names, lambda i: cells[names[i]], notes=table.notes)
-        first, last = chosen_rows(source, self._stamps, self.table.where)
-        if last - first > max_samples:
+        names, self.rows = list(cells), stamps.size
+        table = Table(str(self.path), names, lambda i: cells[names[i]], notes=table.notes)
+        return table, stamps, chosen_rows(source, stamps, table.where)
+
+    def _keep(self, every: tuple[Table, Array, tuple[int, int]], most: int) -> None:
+        """Keep the chosen rows; of more than ``most`` some, as segments all over the log."""
+        self.table, self._stamps, (first, last) = every
+        if last - first > most:
             # start and stop count from the first row
-            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, max_samples)]
+            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, most)]
             rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
             self.table, self._stamps = self.table.at(rows, self.rows), self._stamps[rows]
 
@@ -145,8 +162,9 @@ class ArmLog:
         # the motion does not depend on the drive, which may be missing
         no_drive = dict.fromkeys(("current", "voltage", "target"))
         motion_only = {**no_drive, "torque": Torque(column=column, unit=SI)}
-        columns = self._columns(source.model_copy(update=motion_only), {column: position})
-        return self._read(columns, joint)
+        columns = self._columns(source.model_copy(update=motion_only), {column: self._stamps})
+        motion = self._read(columns, joint)
+        return replace(motion, torque=np.zeros_like(motion.torque))
 
     def _read(self, recording: Recording, joint: UrdfJoint) -> Measurement:
         motion = joint.motion
@@ -172,7 +190,8 @@ class ArmLog:
         keys["time"] = {"column": _STAMPS, "unit": "s"}
         names, notes = list(cells), self.table.notes
         table = Table(str(self.path), names, lambda i: cells[names[i]], notes=notes)
-        return Recording(Columns.model_validate(keys), table=table)
+        columns = Columns.model_validate(keys)
+        return Recording(columns, table=table, needed_rate=self._needed_rate)
 
 
 def signals(count: int) -> list[str]:

@@ -129,7 +129,7 @@ def rollout(
         residual = [np.interp(shifted, *series, period=period) for series in residuals]
         draw = {key: np.stack([x[key][k] for x in friction], axis=-1) for key in NUMBERS}
         # the time within a sample at which the effort was measured, or jumps, is unknown
-        sampled = log.time + step * rng.uniform(-0.5, 0.5)
+        sampled = log.time + log.period * rng.uniform(-0.5, 0.5)
         effort = np.array(
             [
                 x["gain"][k, 0] * (np.interp(sampled - x["delay"][k, 0], m.time, m.torque) - r)

@@ -69,6 +69,41 @@ def test_holes_and_own_time_stamps_change_no_motion(arm, tmp_path):
                 np.testing.assert_allclose(values[~near], exact, atol=5.1e-5)
 
 
+@pytest.mark.parametrize(
+    ("rate", "jitter", "late", "step"),
+    [
+        (100.0, 0.0, 0.0, 1e-3),
+        (100.0, 0.2, 0.0, 2e-5),
+        (1000.0, 0.2, 0.0, 1e-3),
+        (1000.0, 0.0, 0.2, 2e-5),
+        (5000.0, 0.2, 0.0, 2e-5),
+        (5000.0, 0.0, 0.2, 1e-3),
+    ],
+)
+def test_the_torque_of_the_bodies_is_that_of_the_motion(arm, tmp_path, rate, jitter, late, step):
+    """Within 2 % of its rms, samples irregular (``jitter``) or stamped late, shares of a period."""
+    rng, seconds = np.random.default_rng(5), 8.0
+    exact, *motion = bench.motion(seconds, rate=rate)
+    time = exact + rng.uniform(-jitter, jitter, exact.size) / rate
+    q = np.stack([np.interp(time, exact, x) for x in motion[0].T]) if jitter else motion[0].T
+    stamps = time + late * rng.uniform(-1.0, 1.0, exact.size) / rate
+    columns = {"time [s]": stamps}
+    for name, position in zip((SHOULDER, ELBOW), q, strict=True):
+        columns[f"position[{name}] [rad]"] = step * np.round(position / step)
+        columns[f"effort[{name}] [N m]"] = rng.normal(size=exact.size)
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    log = opened(arm, tmp_path / "log.csv", 100_000)
+    nominal = arm.bodies.prior(arm.options.urdf, arm.options.payload).nominal
+    torques = arm.bodies.torques(log.motion, np.tile(nominal, (2, 1))[:, :, None])[:, 0]
+    inner = (log.time > 0.5) & (log.time < seconds - 0.5)
+    expected = bench.rigid_torque(bench.urdf(), *motion, bench.GRAVITY).T
+    expected = np.stack([np.interp(log.time[inner], exact, x) for x in expected])
+    rms, true_rms = (np.sqrt(np.mean(x**2, axis=1)) for x in (torques[:, inner], expected))
+    np.testing.assert_allclose(rms, true_rms, rtol=0.02)
+    # twenty samples a period of the fastest motion that is resolved, here below 20 Hz
+    assert log.time.size < 400.0 * seconds
+
+
 @pytest.mark.parametrize(("unit", "factor"), [(None, 1.0), ("mN m", 1e-3)])
 def test_efforts_without_a_unit_are_in_the_unit_that_is_given(arm, tmp_path, unit, factor):
     """N m is assumed, and said; a given unit is taken without a word."""
