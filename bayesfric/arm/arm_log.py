@@ -64,9 +64,13 @@ def layout_of(
         raise BadInput(str(path), problem, hint)
     first, tokens = dict[str, dict[str, str]](), dict[str, str]()
     for name, label in labels.items():
-        chosen = recognise(opened, label).chosen
+        joint = recognise(opened, label)
+        chosen = {key: (str(column), unit) for key, (column, unit) in joint.chosen.items()}
         chosen.pop("temperature", None)
-        columns = [column for key, (column, _) in chosen.items() if key != "time"]
+        columns = [c for key, (c, _) in chosen.items() if key != "time" and c != OPEN]
+        if not in_order and OPEN in [column for column, _ in chosen.values()]:
+            hint = "write [recording] in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
+            raise BadInput(str(path), "; ".join(joint.problems), hint)
         candidates = (name, label, "_".join(label.split()))
         token = next((t for t in candidates if t and all(t in column for column in columns)), "")
         tokens[name] = token
