@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
 from bayesfric.recordings.measurement import Lag, Measurement, Signal
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 # Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
 # both measurement and model, and the others for more; but a kink of the acceleration also affects
@@ -248,21 +245,22 @@ class ParallelFilter:
 
     def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
-        x = np.asarray(x, dtype=np.float64)
-        rows = x.reshape(-1, x.shape[-1]).T
-        out = np.ascontiguousarray((self._matrix @ rows).T)
-        return out.reshape(*x.shape[:-1], self.n_outputs)
+        from scipy.signal import upfirdn
 
-    @cached_property
-    def _matrix(self) -> csr_array:
-        """From samples to outputs, ``(M, N)``."""
-        from scipy.sparse import csr_array
-
-        n, length = self.n_outputs, len(self.taps)
-        samples = self.starts[:, None] + np.arange(length)
-        weights = self.gains[:, None] * self.taps * self.used[samples]
-        ends = np.arange(0, n * length + 1, length)
-        return csr_array((weights.ravel(), samples.ravel(), ends), (n, self.used.size))
+        gaps, length = np.diff(self.starts), len(self.taps)
+        step = int(gaps.min(initial=len(self.used)))
+        # upfirdn's outputs before the first window; the kernel ends where one of its steps does
+        early = -(-(length - 1) // step)
+        kernel = np.append(np.zeros(early * step - (length - 1)), self.taps[::-1])
+        out = np.empty((*x.shape[:-1], self.n_outputs))
+        # at once windows whole steps apart, as those of a segment
+        for outputs in np.split(np.arange(self.n_outputs), np.flatnonzero(gaps % step) + 1):
+            if outputs.size:
+                starts = self.starts[outputs]
+                part = slice(starts[0], starts[-1] + length)
+                every = upfirdn(kernel, self.used[part] * x[..., part], 1, step)
+                out[..., outputs] = every[..., early + (starts - starts[0]) // step]
+        return np.asarray(self.gains * out)
 
 
 def decimation(band: float, fs: float) -> int:
@@ -407,7 +405,9 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     spectra = _spectra(recording)
     reason: Reason = "sampling" if band is None else "asked"
     if spectra is None:
-        return Resolution(WIDEST * fs if band is None else band, reason, 0.0, math.inf)
+        return Resolution(
+            WIDEST * (recording.pace or fs) if band is None else band, reason, 0.0, math.inf
+        )
     frequency, width, motion, unit_noise, _ = spectra
     # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
     quiet = frequency >= 0.3 * fs
@@ -470,7 +470,7 @@ def _choose(
     inverse share of an inertia that is lost.
     """
     fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
-    ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
+    ends: list[tuple[float, Reason]] = [(WIDEST * (recording.pace or fs), "sampling")]
     if variance > 0.0:
         noise = unit_noise * variance
         # from the frequency of the largest speeds on: below there is little to resolve
