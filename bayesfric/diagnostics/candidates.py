@@ -14,9 +14,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from bayesfric.diagnostics.motion import ORDER, MotionSignals, deflection, in_gap
 from bayesfric.diagnostics.statistics import DELAYS, Key
@@ -316,17 +316,12 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
 
 
 def filtered_columns(
-    o: Signals, columns: Iterable[tuple[Key, Array]], at_once: int = 8
+    o: Signals, columns: Iterable[tuple[Key, Array]], dtype: DTypeLike = np.float64
 ) -> tuple[list[Key], Array]:
-    """Filter columns ``(N,)`` by key, a cache line of them at once; those of zeros stay zero."""
-    keys, blocks, waiting = [], [], iter(columns)
-    while batch := list(islice(waiting, at_once)):
-        keys += [key for key, _ in batch]
-        block = np.zeros((o.filter.n_outputs, len(batch)))
-        nonzero = [i for i, (_, column) in enumerate(batch) if column.any()]
-        if nonzero:
-            raw = np.stack([batch[i][1] for i in nonzero], axis=1)
-            raw[~np.isfinite(raw)] = 0.0
-            block[:, nonzero] = o.filter.apply(raw.T).T
-        blocks.append(block)
-    return keys, np.concatenate(blocks, axis=1)
+    """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous in memory."""
+    keys, rows = [], []
+    for key, column in columns:
+        keys.append(key)
+        finite = np.where(np.isfinite(column), column, 0.0)
+        rows.append(o.filter.apply(finite).astype(dtype))
+    return keys, np.array(rows).T

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Literal
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
-from bayesfric.recordings.measurement import Lag, Measurement
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+from bayesfric.recordings.measurement import Lag, Measurement, Signal
 
 # Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
 # both measurement and model, and the others for more; but a kink of the acceleration also affects
@@ -29,6 +27,8 @@ _WHITE = 1.0983
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Widest band over the sampling rate.
 WIDEST = 0.05
+# Averages that at least make up the longest segment of a recording that is averaged.
+_LEAST_AVERAGES = 200
 # Ratio (rms) of acceleration to its noise below which a user is warned: an inertia is too small by
 # about the inverse of its square.
 LEAST_RATIO = 10.0
@@ -158,6 +158,13 @@ def later(values: Array, samples: float, neighbours: int = 4) -> Array:
     return np.asarray(np.correlate(padded, weights, mode="valid"))
 
 
+def interpolated(time: Array, values: Array, at: Array) -> Array:
+    """Interpolate signals ``(..., n)`` by a cubic spline, constant beyond its ends."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(time, values, axis=-1)(np.clip(at, time[0], time[-1])))
+
+
 @lru_cache(maxsize=1024)
 def _between(share: float, neighbours: int) -> Array:
     """Interpolation weights ``(2 neighbours,)`` between two samples."""
@@ -238,21 +245,22 @@ class ParallelFilter:
 
     def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
-        x = np.asarray(x, dtype=np.float64)
-        rows = x.reshape(-1, x.shape[-1]).T
-        out = np.ascontiguousarray((self._matrix @ rows).T)
-        return out.reshape(*x.shape[:-1], self.n_outputs)
+        from scipy.signal import upfirdn
 
-    @cached_property
-    def _matrix(self) -> csr_array:
-        """From samples to outputs, ``(M, N)``."""
-        from scipy.sparse import csr_array
-
-        n, length = self.n_outputs, len(self.taps)
-        samples = self.starts[:, None] + np.arange(length)
-        weights = self.gains[:, None] * self.taps * self.used[samples]
-        ends = np.arange(0, n * length + 1, length)
-        return csr_array((weights.ravel(), samples.ravel(), ends), (n, self.used.size))
+        gaps, length = np.diff(self.starts), len(self.taps)
+        step = int(gaps.min(initial=len(self.used)))
+        # upfirdn's outputs before the first window; the kernel ends where one of its steps does
+        early = -(-(length - 1) // step)
+        kernel = np.append(np.zeros(early * step - (length - 1)), self.taps[::-1])
+        out = np.empty((*x.shape[:-1], self.n_outputs))
+        # at once windows whole steps apart, as those of a segment
+        for outputs in np.split(np.arange(self.n_outputs), np.flatnonzero(gaps % step) + 1):
+            if outputs.size:
+                starts = self.starts[outputs]
+                part = slice(starts[0], starts[-1] + length)
+                every = upfirdn(kernel, self.used[part] * x[..., part], 1, step)
+                out[..., outputs] = every[..., early + (starts - starts[0]) // step]
+        return np.asarray(self.gains * out)
 
 
 def decimation(band: float, fs: float) -> int:
@@ -314,6 +322,56 @@ def lay_windows(
     return replace(windows, gains=1.0 / windows.apply(every))
 
 
+def averaged_to(recording: Measurement, rate: float) -> Measurement:
+    """Average a recording that is faster than ``rate`` Hz; its white noise stays white."""
+    r, fs = recording, 1.0 / recording.period
+    longest = max(b - a for a, b in r.segments)
+    factor = int(min(fs / rate + 1e-9, longest / _LEAST_AVERAGES))
+    if factor < 2:
+        return r
+    everything = np.ones(r.time.size, dtype=np.bool_)
+    windows = lay_windows(parallel_taps(factor, None, fs), r.segments, factor, everything)
+    sizes = replace(windows, taps=np.abs(windows.taps) / np.abs(windows.taps).sum())
+    borders = [(windows.starts >= a) & (windows.starts < b) for a, b in r.segments]
+    ends = np.cumsum([0, *(n for inside in borders if (n := int(inside.sum())))]).tolist()
+
+    def mean(values: Array | None, *, held: bool = False) -> Any:
+        if values is None:
+            return None
+        # a command that is held acts later by half a sample of the faster rate
+        return windows.apply(
+            delayed_command(values, r.segments, 0.0, held=held) if held else values
+        )
+
+    def partly(flags: Flags) -> Flags:
+        return np.asarray(sizes.apply(flags.astype(np.float64)) > SMALL_SHARE)
+
+    time = r.time[windows.centres]
+    signals = {key: Signal(time, mean(x.at(r.time))) for key, x in r.inputs.others.items()}
+    known = {key: getattr(r.inputs, key) for key in ("temperature", "load_torque")}
+    known = {key: x and Signal(time, mean(x.at(r.time))) for key, x in known.items()}
+    law = r.law and replace(
+        r.law,
+        command=mean(r.law.command, held=r.law.held),
+        scale=mean(r.law.scale),
+        off=None if r.law.off is None else partly(r.law.off),
+        held=False,
+    )
+    return replace(
+        r,
+        time=time,
+        torque=mean(r.torque, held=r.held),
+        **{key: mean(getattr(r, key)) for key in ("position", "velocity", "back_emf", "feedback")},
+        segments=tuple(pairwise(ends)),
+        period=factor * r.period,
+        excluded=partly(r.excluded),
+        inputs=replace(r.inputs, others=signals, **known),
+        steps=(*r.steps, f"time: averaged over {factor} samples, at {rate:.3g} Hz"),
+        held=False,
+        law=law,
+    )
+
+
 # --- band ---------------------------------------------------------------------------------------
 #
 # Differentiating twice multiplies noise and steps of the position by the square of frequency. Where
@@ -347,7 +405,9 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     spectra = _spectra(recording)
     reason: Reason = "sampling" if band is None else "asked"
     if spectra is None:
-        return Resolution(WIDEST * fs if band is None else band, reason, 0.0, math.inf)
+        return Resolution(
+            WIDEST * (recording.pace or fs) if band is None else band, reason, 0.0, math.inf
+        )
     frequency, width, motion, unit_noise, _ = spectra
     # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
     quiet = frequency >= 0.3 * fs
@@ -410,7 +470,7 @@ def _choose(
     inverse share of an inertia that is lost.
     """
     fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
-    ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
+    ends: list[tuple[float, Reason]] = [(WIDEST * (recording.pace or fs), "sampling")]
     if variance > 0.0:
         noise = unit_noise * variance
         # from the frequency of the largest speeds on: below there is little to resolve
