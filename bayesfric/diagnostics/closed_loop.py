@@ -17,7 +17,7 @@ import numpy as np
 from bayesfric.diagnostics.candidates import columns_along
 from bayesfric.diagnostics.explanation import Explanation, finding_of
 from bayesfric.diagnostics.motion import MotionSignals, scales_of
-from bayesfric.diagnostics.regression import Regression, reported_gradients
+from bayesfric.diagnostics.regression import Regression, StoredColumns, reported_gradients
 from bayesfric.diagnostics.statistics import (
     REPLICATES,
     TESTABLE,
@@ -80,10 +80,7 @@ def explain_closed_loop(target: Target, parameters: Array, seed: int) -> Explana
     others = project_out(basis_of(terms), others)
     others *= np.linalg.norm(others, axis=0) > TESTABLE * size_before
     data = Columns(base, others, left, layout, tuple(keys))
-    right = [
-        replace(data, others=data.others.copy(), residual=np.zeros_like(left))
-        for _ in range(REPLICATES)
-    ]
+    right = StoredColumns(replace(data, residual=np.zeros_like(left)) for _ in range(REPLICATES))
     gradients = {
         name: gradient
         for name, gradient in reported_gradients(chain, values, observations).items()
