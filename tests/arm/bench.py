@@ -94,13 +94,13 @@ def log(
     seconds: float = 20.0,
     seed: int = 1,
     faster: float = 1.0,
-    motors: np.ndarray = np.eye(2),
+    motors: np.ndarray | None = None,
 ) -> pd.DataFrame:
     """Record the arm of a URDF with friction, white encoder and torque noise.
 
     ``motors`` are their positions per positions of the joints; efforts and friction are theirs.
     """
-    rng = np.random.default_rng(seed)
+    rng, motors = np.random.default_rng(seed), np.eye(2) if motors is None else motors
     time, joints, qd, qdd = motion(seconds, faster)
     rigid = rigid_torque(text, joints, qd, qdd, GRAVITY) @ np.linalg.inv(motors)
     qd, qdd = qd @ motors.T, qdd @ motors.T

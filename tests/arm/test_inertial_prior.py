@@ -78,7 +78,7 @@ def test_torques_of_coupled_joints_are_those_of_their_motors(tmp_path):
     """By virtual work: their power is that of the joints."""
     matrix = ((1.0, 0.25), (-0.5, 2.0))
     (tmp_path / "arm.urdf").write_text(bench.urdf())
-    coupling = Coupling(joints=(ELBOW, SHOULDER), matrix=matrix)
+    coupling = Coupling(joints=(bench.ELBOW, bench.SHOULDER), matrix=matrix)
     coupled = Bodies(tmp_path / "arm.urdf", bench.GRAVITY, coupling)
     motion = random_motion(2)
     speed = np.linalg.solve(coupled.motors, motion[1])
