@@ -79,7 +79,7 @@ def test_torques_of_coupled_joints_are_those_of_their_motors(tmp_path):
     matrix = ((1.0, 0.25), (-0.5, 2.0))
     (tmp_path / "arm.urdf").write_text(bench.urdf())
     coupling = Coupling(joints=(bench.ELBOW, bench.SHOULDER), matrix=matrix)
-    coupled = Bodies(tmp_path / "arm.urdf", bench.GRAVITY, coupling)
+    coupled = Bodies(tmp_path / "arm.urdf", GRAVITY, coupling)
     motion = random_motion(2)
     speed = np.linalg.solve(coupled.motors, motion[1])
     joints = np.stack([np.linalg.solve(coupled.motors, x) for x in motion])
@@ -88,7 +88,7 @@ def test_torques_of_coupled_joints_are_those_of_their_motors(tmp_path):
     power = np.sum(free * joints[1], axis=0)
     assert np.sum(nominal(coupled, motion) * motion[1], axis=0) == pytest.approx(power)
     with pytest.raises(BadInput, match=r"coupling\.joints"):
-        Bodies(tmp_path / "arm.urdf", bench.GRAVITY, Coupling(joints=("x",), matrix=((1.0,),)))
+        Bodies(tmp_path / "arm.urdf", GRAVITY, Coupling(joints=("x",), matrix=((1.0,),)))
 
 
 def test_directions_leave_less_than_the_threshold(tmp_path):
