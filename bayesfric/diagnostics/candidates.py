@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 
 import numpy as np
 
@@ -315,18 +314,12 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     return dict(zip(delays, pairs, strict=True))
 
 
-def filtered_columns(
-    o: Signals, columns: Iterable[tuple[Key, Array]], at_once: int = 8
-) -> tuple[list[Key], Array]:
-    """Filter columns ``(N,)`` by key, a cache line of them at once; those of zeros stay zero."""
-    keys, blocks, waiting = [], [], iter(columns)
-    while batch := list(islice(waiting, at_once)):
-        keys += [key for key, _ in batch]
-        block = np.zeros((o.filter.n_outputs, len(batch)))
-        nonzero = [i for i, (_, column) in enumerate(batch) if column.any()]
-        if nonzero:
-            raw = np.stack([batch[i][1] for i in nonzero], axis=1)
-            raw[~np.isfinite(raw)] = 0.0
-            block[:, nonzero] = o.filter.apply(raw.T).T
-        blocks.append(block)
-    return keys, np.concatenate(blocks, axis=1)
+def filtered_columns(o: Signals, columns: Iterable[tuple[Key, Array]]) -> tuple[list[Key], Array]:
+    """Filter columns ``(N,)`` by key; what is not finite counts as zero."""
+    keys, rows = [], []
+    for key, column in columns:
+        keys.append(key)
+        rows.append(o.filter.apply(column))
+        if not np.isfinite(rows[-1]).all():
+            rows[-1] = o.filter.apply(np.where(np.isfinite(column), column, 0.0))
+    return keys, np.stack(rows, axis=1)
