@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy import fft
 
 from bayesfric.mechanism.inverse import inverse_torque
@@ -136,8 +137,17 @@ class MotionSignals:
     @cached_property
     def waves(self) -> dict[str, tuple[Array, Array]]:
         """Sine and cosine of the position in turns of motor and joint."""
-        angles = {name: k * self.o.q for name, k in self.scales.cycles.items()}
-        return {name: (np.sin(angle), np.cos(angle)) for name, angle in angles.items()}
+        phasors: dict[tuple[int, str], NDArray[np.complex128]] = {}
+        for name, cycles in self.scales.cycles.items():
+            k, side = TURNS[name]
+            # products take a tenth of the time of sines
+            known = (j for j, of in phasors if of == side and (k - j, side) in phasors)
+            if j := next(known, None):
+                phasors[k, side] = phasors[j, side] * phasors[k - j, side]
+            else:
+                phasors[k, side] = np.exp(1j * cycles * self.o.q)
+        pairs = zip(self.scales.cycles, phasors.values(), strict=True)
+        return {name: (phasor.imag, phasor.real) for name, phasor in pairs}
 
     @cached_property
     def direction(self) -> Array:
@@ -310,7 +320,15 @@ def resonating(
         part = x[a:b]
         part = part - np.linspace(part[0], part[-1], part.size)
         size = fft.next_fast_len(2 * part.size, real=True)
-        f = fft.rfftfreq(size, period) / np.asarray(hertz)[:, None]
-        response = 1.0 / (1.0 - f**2 + 2j * damping * f) - 1.0
+        response = _response(size, period, tuple(hertz), damping)
         out[:, a:b] = fft.irfft(response * fft.rfft(part, size), size)[:, : part.size]
     return out
+
+
+@lru_cache(maxsize=2)
+def _response(
+    size: int, period: float, hertz: tuple[float, ...], damping: float
+) -> NDArray[np.complex128]:
+    """Return the response of :func:`resonating` ``(k, f)``, the same for all replicates."""
+    f = fft.rfftfreq(size, period) / np.array(hertz)[:, None]
+    return np.asarray(1.0 / (1.0 - f**2 + 2j * damping * f) - 1.0)

@@ -452,6 +452,7 @@ def _moments(
     batch = 128
     change, is_changed = np.zeros(m.rows.shape[0]), np.zeros(m.rows.shape[0], np.bool_)
     changed = np.empty(m.rows.shape[0], np.int64)
+    residual = np.full(m.rows.shape[0], np.nan)  # of changed outputs and their neighbours
     level, flipped = np.empty(batch), np.empty(batch, np.int64)
     for v in range(z.shape[0]):
         vector = z[v]
@@ -484,14 +485,21 @@ def _moments(
                         changed[n_changed] = k
                         n_changed += 1
         for k in changed[:n_changed]:
-            _add_change(m, k, order, vector, change, out[v])
+            for y in range(k - m.age[k], k + m.remaining[k] + 1):
+                if np.isnan(residual[y]):
+                    residual[y] = product_sum(m.rows[y], vector)
+            _add_change(m, k, order, residual, change, out[v])
         for k in changed[:n_changed]:
             change[k], is_changed[k] = 0.0, False
+            for y in range(k - m.age[k], k + m.remaining[k] + 1):
+                residual[y] = np.nan
     return out
 
 
 @njit(cache=True)
-def _add_change(m: MomentMatrices, x: int, order: int, z: Array, change: Array, out: Array) -> None:
+def _add_change(
+    m: MomentMatrices, x: int, order: int, residual: Array, change: Array, out: Array
+) -> None:
     """Add a changed output's effect on products with others of its run.
 
     A pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the change of
@@ -499,9 +507,7 @@ def _add_change(m: MomentMatrices, x: int, order: int, z: Array, change: Array, 
     ``order`` periods after x.
     """
     for y in range(x - m.age[x], x + m.remaining[x] + 1):
-        value = product_sum(m.rows[y], z)
-        if y == x:
-            value *= 2.0
+        value = 2.0 * residual[y] if y == x else residual[y]
         if y >= x:
             value += change[y]
         value *= change[x]
