@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
-from bayesfric.arm.arm_options import ArmOptions, JointOptions
+from bayesfric.arm.arm_columns import layout_of
+from bayesfric.arm.arm_log import ArmLog, signals
+from bayesfric.arm.arm_options import ArmOptions
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, UrdfJoint, directions, resolution
 from bayesfric.base.errors import BadInput, nearest
@@ -28,13 +29,9 @@ from bayesfric.problem.config import (
     parse_config,
     read_toml,
     recording_table,
-    toml_value,
 )
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.readers import TableOptions
-from bayesfric.recordings.source import SI
-from bayesfric.recordings.units import OPEN
 
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
 
@@ -107,7 +104,7 @@ class Arm:
         options, bodies = self.options, self.bodies
         paths = [Path(path) for path in ([log] if isinstance(log, Path | str) else log)]
         fitted_count = len(paths)
-        layout, assumed = self._layout(paths[0], effort_unit)
+        layout, assumed = layout_of(paths[0], bodies.joints, options, effort_unit)
         paths += [] if predict is None else [Path(predict)]
         names = [path.stem for path in paths]
         if len(set(names)) < len(names):
@@ -125,7 +122,7 @@ class Arm:
             ]
             efforts: dict[str, Measurement | BadInput] = {}
             for name in logs[0].sources:
-                if self._joint_options(name).fit:
+                if self.options.of(name).fit:
                     try:
                         efforts[name] = logs[0].measured(bodies.joints[name])
                     except BadInput as error:
@@ -138,7 +135,7 @@ class Arm:
             for name, effort in efforts.items():
                 report(Progress(name))
                 joint = FittedJoint(
-                    bodies.joints[name], self._joint_options(name).gear_ratio, projected[name][0]
+                    bodies.joints[name], self.options.of(name).gear_ratio, projected[name][0]
                 )
                 try:
                     if isinstance(effort, BadInput):
@@ -157,33 +154,6 @@ class Arm:
             failures = "; ".join(f"{name}: {joint.failure}" for name, joint in fitted.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
         return FittedArm.combined(bodies, logs, fitted, prior, seed, assumed)
-
-    def _layout(self, path: Path, effort_unit: str | None) -> tuple[Layout, str]:
-        """Take the columns from the options, or recognise them in a log; say what is assumed."""
-        recording, assumed = self.options.recording, ""
-        labels: Mapping[str, str] = {}
-        if "position" not in recording:
-            layout = {key: recording[key] for key in TableOptions.model_fields if key in recording}
-            recognised, labels = layout_of(path, self.bodies.joints, layout)
-            recording = {**recognised, **recording}
-        torque = recording.get("torque", {})
-        if effort_unit is not None and not torque:
-            raise BadInput("--effort-unit", "the log has no efforts", "name their column 'effort'")
-        if effort_unit is not None or torque.get("unit") == OPEN:
-            recording = {**recording, "torque": {**torque, "unit": effort_unit or SI}}
-        if effort_unit is None and torque.get("unit") == OPEN:
-            assumed = (
-                f"Efforts ({torque['column']}) are taken as N m, as the log names no unit; "
-                "else --effort-unit, or in A [recording] current with its torque_constant"
-            )
-        if OPEN in str(recording):
-            problem = f"not all units are known: {toml_value(recording)}"
-            hint = "write them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
-            raise BadInput(str(path), problem, hint)
-        return (recording, labels), assumed
-
-    def _joint_options(self, name: str) -> JointOptions:
-        return self.options.joints.get(name, JointOptions())
 
     def _projected(
         self,
@@ -217,7 +187,8 @@ class Arm:
             threshold, effort = np.inf, efforts.get(name)
             if isinstance(effort, Measurement):
                 _, qd, qdd = logs[0].motion[:, j, at]
-                error = resolution(effort.torque[at], qd, qdd, torques[0][j])
+                torque = np.interp(logs[0].time[at], effort.time, effort.torque)
+                error = resolution(torque, qd, qdd, torques[0][j])
                 threshold = error * np.sqrt(at.size / counts[0])
             joint_directions.append(directions(every_torque[j, 1:], threshold))
         width = max(x.shape[1] for x in joint_directions)
@@ -243,7 +214,7 @@ class Arm:
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque."""
         joint, options = fitted.joint, self.options
-        joint_options = self._joint_options(joint.name)
+        joint_options = self.options.of(joint.name)
         recordings = [log.recording(joint, t) for log, t in zip(logs, torques, strict=True)]
         columns = signals(fitted.directions.shape[1])
         normal = {"distribution": "norm", "loc": 0.0, "scale": 1.0}

@@ -105,7 +105,8 @@ class ArmOptions(Options):
     recording: dict[str, Any] = Field(
         default_factory=dict,
         description="A [[recordings]] table without file: {joint} in its texts is the joint's "
-        "label, {number} its place in the URDF from 1, {index} from 0.",
+        "label, {number} its place in the URDF from 1, {index} from 0; or a list has an entry for "
+        "each joint that is not held.",
     )
     friction: ElementOptions = Field(
         ElementOptions(),
@@ -131,3 +132,7 @@ class ArmOptions(Options):
     joints: dict[str, JointOptions] = Field(
         default_factory=dict, description="By name, as in the URDF."
     )
+
+    def of(self, joint: str) -> JointOptions:
+        """Return the options of a joint, the defaults where it has none."""
+        return self.joints.get(joint, JointOptions())

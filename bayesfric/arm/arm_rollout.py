@@ -129,7 +129,7 @@ def rollout(
         residual = [np.interp(shifted, *series, period=period) for series in residuals]
         draw = {key: np.stack([x[key][k] for x in friction], axis=-1) for key in NUMBERS}
         # the time within a sample at which the effort was measured, or jumps, is unknown
-        sampled = log.time + step * rng.uniform(-0.5, 0.5)
+        sampled = log.time + log.period * rng.uniform(-0.5, 0.5)
         effort = [np.interp(sampled, x.time, x.torque) for x in measured] - np.array(residual)
         dynamics = bodies.dynamics(inertial[k])
         simulated[k] = simulate_arm(dynamics, draw, log.time, log.motion, effort, driven, restarts)

@@ -19,7 +19,7 @@ import math
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -113,11 +113,9 @@ class Bodies:
         # all coordinates of the model are _map @ q + _offset, torques of `joints` _map.T @ torque
         order = list(self.joints)
         self._map, self._offset = np.zeros((len(all_joints), len(order))), np.zeros(len(all_joints))
-        for name, joint in all_joints.items():
+        for name in all_joints:
             at = model.getJoint(model.getJointIndex(name)).getDOFsOffset()
-            source, multiplier, self._offset[at] = joint.mimics or (name, 1.0, 0.0)
-            if source not in order:
-                raise BadInput(str(path), f"{name!r} mimics {source!r}", nearest(source, order))
+            source, multiplier, self._offset[at] = _followed(path, all_joints, name)
             self._map[at, order.index(source)] = multiplier
 
     def prior(self, uncertainty: Uncertainty, payload: Payload) -> InertialPrior:
@@ -432,6 +430,21 @@ def _joints(path: Path) -> dict[str, UrdfJoint]:
     if not joints:
         raise BadInput(str(path), "has no joint that moves", "give the URDF of an arm")
     return joints
+
+
+def _followed(path: Path, joints: Mapping[str, UrdfJoint], name: str) -> tuple[str, float, float]:
+    """Follow a chain of mimics to the joint that moves: its name, multiplier and offset."""
+    source, multiplier, offset = name, 1.0, 0.0
+    for _ in joints:
+        mimics = joints[source].mimics
+        if mimics is None:
+            return source, multiplier, offset
+        source, factor, shift = mimics
+        multiplier, offset = multiplier * factor, offset + multiplier * shift
+        if source not in joints:
+            raise BadInput(str(path), f"{name!r} mimics {source!r}", nearest(source, joints))
+    problem = f"{name!r} mimics joints that mimic each other"
+    raise BadInput(str(path), problem, "let one of them move by itself")
 
 
 def _stderr_of(load: Callable[[], Any]) -> str:

@@ -257,15 +257,26 @@ def columns_text(draft: dict[str, Any], limit: int = 40) -> list[str]:
 def _arm_configuration(log: Path, urdf: Path, layout: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``arm.toml``: ``text`` and ``open`` keys."""
     from bayesfric.arm.arm import Arm
-    from bayesfric.arm.arm_log import layout_of
+    from bayesfric.arm.arm_columns import recognised_layout
 
     joints = Arm(urdf).bodies.joints
-    recording, labels = layout_of(log, joints, layout, in_order=True)
-    variables = {"recording": recording, "labels": labels, "joints": list(joints)}
+    columns, notes = recognised_layout(log, joints, layout, in_order=True)
+    blank = {key: {"column": OPEN, "unit": OPEN} for key in ("time", "position", "torque")}
+    present = [name for name in joints if name in columns] or [*joints]
+    documents = [columns.get(name, blank) for name in present]
+    recording: dict[str, Any] = {**layout}
+    for key, channel in documents[0].items():
+        if all(key in document for document in documents):
+            entries = {k: [document[key][k] for document in documents] for k in channel}
+            recording[key] = {k: v[0] if v.count(v[0]) == len(v) else v for k, v in entries.items()}
+    if recording.keys().isdisjoint(("torque", "current", "voltage")):
+        recording["torque"] = blank["torque"]
+    open_keys = {f"recording.{key}": OPEN for key, x in recording.items() if OPEN in str(x)}
+    held = [name for name in joints if name not in present]
+    open_keys |= {f"joints.{name}.held": OPEN for name in held}
+    variables = {"recording": recording, "held": held, "joints": list(joints)}
     text = _template("arm.toml.j2").render(urdf=urdf, log=log, **variables)
-    units = {f"{k}.unit": OPEN for k, v in recording.items() if OPEN in str(v)}
-    held = {f"joints.{name}.held": OPEN for name in joints if name not in labels}
-    return {"text": text, "open": units | held}
+    return {"text": text, "open": open_keys, "notes": notes}
 
 
 def open_text(draft: dict[str, Any]) -> Iterator[str]:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
-from bayesfric.recordings.measurement import Lag, Measurement
+from bayesfric.recordings.measurement import Lag, Measurement, Signal
 
 # Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
 # both measurement and model, and the others for more; but a kink of the acceleration also affects
@@ -27,6 +28,8 @@ _WHITE = 1.0983
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Widest band over the sampling rate.
 WIDEST = 0.05
+# Averages that at least make up the longest segment of a recording that is averaged.
+_LEAST_AVERAGES = 200
 # Ratio (rms) of acceleration to its noise below which a user is warned: an inertia is too small by
 # about the inverse of its square.
 LEAST_RATIO = 10.0
@@ -165,6 +168,13 @@ def later(values: Array, samples: float, neighbours: int = 4) -> Array:
     index = np.arange(shift - neighbours + 1, len(values) + shift + neighbours)
     padded = values[np.clip(index, 0, len(values) - 1)]
     return np.asarray(np.correlate(padded, weights, mode="valid"))
+
+
+def interpolated(time: Array, values: Array, at: Array) -> Array:
+    """Interpolate signals ``(..., n)`` by a cubic spline, constant beyond its ends."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(time, values, axis=-1)(np.clip(at, time[0], time[-1])))
 
 
 @lru_cache(maxsize=1024)
@@ -324,6 +334,56 @@ def lay_windows(
         return windows
     # never near zero: two thirds of the absolute weight are there
     return replace(windows, gains=1.0 / windows.apply(every))
+
+
+def averaged_to(recording: Measurement, rate: float) -> Measurement:
+    """Average a recording that is faster than ``rate`` Hz; its white noise stays white."""
+    r, fs = recording, 1.0 / recording.period
+    longest = max(b - a for a, b in r.segments)
+    factor = int(min(fs / rate + 1e-9, longest / _LEAST_AVERAGES))
+    if factor < 2:
+        return r
+    everything = np.ones(r.time.size, dtype=np.bool_)
+    windows = lay_windows(parallel_taps(factor, None, fs), r.segments, factor, everything)
+    sizes = replace(windows, taps=np.abs(windows.taps) / np.abs(windows.taps).sum())
+    borders = [(windows.starts >= a) & (windows.starts < b) for a, b in r.segments]
+    ends = np.cumsum([0, *(n for inside in borders if (n := int(inside.sum())))]).tolist()
+
+    def mean(values: Array | None, *, held: bool = False) -> Any:
+        if values is None:
+            return None
+        # a command that is held acts later by half a sample of the faster rate
+        return windows.apply(
+            delayed_command(values, r.segments, 0.0, held=held) if held else values
+        )
+
+    def partly(flags: Flags) -> Flags:
+        return np.asarray(sizes.apply(flags.astype(np.float64)) > SMALL_SHARE)
+
+    time = r.time[windows.centres]
+    signals = {key: Signal(time, mean(x.at(r.time))) for key, x in r.inputs.others.items()}
+    known = {key: getattr(r.inputs, key) for key in ("temperature", "load_torque")}
+    known = {key: x and Signal(time, mean(x.at(r.time))) for key, x in known.items()}
+    law = r.law and replace(
+        r.law,
+        command=mean(r.law.command, held=r.law.held),
+        scale=mean(r.law.scale),
+        off=None if r.law.off is None else partly(r.law.off),
+        held=False,
+    )
+    return replace(
+        r,
+        time=time,
+        torque=mean(r.torque, held=r.held),
+        **{key: mean(getattr(r, key)) for key in ("position", "velocity", "back_emf", "feedback")},
+        segments=tuple(pairwise(ends)),
+        period=factor * r.period,
+        excluded=partly(r.excluded),
+        inputs=replace(r.inputs, others=signals, **known),
+        steps=(*r.steps, f"time: averaged over {factor} samples, at {rate:.3g} Hz"),
+        held=False,
+        law=law,
+    )
 
 
 # --- band ---------------------------------------------------------------------------------------

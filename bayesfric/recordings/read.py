@@ -95,7 +95,9 @@ def read_recordings(
     if recording.table is not None:
         name = source.name or f"recording-{number}"
         table = replace(recording.table, where=f"recording {name!r}")
-        measurement = _read(source, table, drive, processing)
+        measurement = filters.averaged_to(
+            _read(source, table, drive, processing), recording.needed_rate
+        )
         return [replace(measurement, name=name, sha256=_sha256(source, table))]
     assert isinstance(source, Source)
     measurements = []

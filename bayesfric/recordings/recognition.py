@@ -69,6 +69,7 @@ _SPELT = {
     **{word: word for word in ("secs", "second", "rps", "dps", "amps", "ampere", "amperes")},
     **{word: word for word in (*_ANGLES, "rotations", "volt", "volts", "mm", "lbf", "kgf", "°")},
     **{"millis": "ms", "micros": "us", "m s": "m/s", "mm s": "mm/s", "nmm": "N mm", "ncm": "N cm"},
+    **{"metre": "m", "newton": "N"},
     **{"rads": "rad/s", "radps": "rad/s", "degs": "deg/s", "degps": "deg/s"},
     **{
         f"{a}{gap}{b}": f"{a} {b}"
@@ -92,11 +93,13 @@ _PARTS = re.compile(r"[a-zµμ]{0,2}(?:Nm|[AV])(?![A-Za-z])|[A-Z]?[a-zµμ]+|[A-
 _NO_PLACE = {*_WORDS["time"].split(), *_SPELT}  # words of time stamps that say not of what
 # The last part of a path, behind a slash or a dot: Axis.ActPos, not N.m or Time.1.
 _PATH = re.compile(r"(.*[^N\s])[/.](?!\d|m?s(?:ec)?$)([^/.]+)")
-# Names that write N_m, MNm, rad/s or rad_per_s.
+# Names that write N_m, MNm, rad/s or rad_per_s; and a single m or N behind a whole word.
 _WRITTEN = (
     (re.compile(r"(?<=N)[ _.·*-](?=m(?![a-z]))"), ""),
     (re.compile(r"[GM](?=Nm)"), "mega "),
     (re.compile(r"_per_|/(?=s$)"), "_"),
+    (re.compile(r"(?i)(?<=position)_m$"), "_metre"),
+    (re.compile(r"(?<=ffort|force)_N$"), "_newton"),
 )
 # Objects of a drive by CiA 402, and what names say of them.
 _OBJECTS = {

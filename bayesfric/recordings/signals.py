@@ -223,7 +223,7 @@ def settled(recording: Measurement, processing: Processing) -> Processing:
 
 def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
     """Return the samples of one window, and from one output to the next."""
-    filters = _choose_filters(recording, processing)
+    filters = choose_filters(recording, processing)
     return parallel_length(filters.factor, filters.band, filters.fs), filters.factor
 
 
@@ -266,7 +266,7 @@ def _prepare(
     recording: Measurement, processing: Processing, resolution: Resolution | None = None
 ) -> tuple[_Filters, _Prepared]:
     """Resolve the settings and lay the windows, so that enough of them remain."""
-    filters = _choose_filters(recording, processing, resolution)
+    filters = choose_filters(recording, processing, resolution)
     prepared = _filter_and_lay_windows(recording, processing, filters, SMALL_SHARE)
     *_, windows, settings = prepared
     all_windows = windows.n_outputs + int(settings["dropped_dead_zone"])
@@ -280,7 +280,7 @@ def _prepare(
     return filters, prepared
 
 
-def _choose_filters(
+def choose_filters(
     recording: Measurement,
     processing: Processing,
     resolution: Resolution | None = None,
@@ -334,7 +334,7 @@ def _lower_lowpass(recording: Measurement, processing: Processing, filters: _Fil
     while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
         cutoff = max(cutoff / 1.5, 2.0 * band)
     lower = processing.model_copy(update={"lowpass": cutoff, "decimate": filters.factor})
-    return replace(_choose_filters(recording, lower), resolution=filters.resolution)
+    return replace(choose_filters(recording, lower), resolution=filters.resolution)
 
 
 def _filter_and_lay_windows(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -465,6 +466,7 @@ class Recording:
     source: Columns  # what the columns mean, and for files which they are
     folder: Path = field(default_factory=Path)  # that file names are relative to
     table: Table | None = None  # columns in memory
+    needed_rate: float = math.inf  # Hz that its motion needs; faster ones are averaged to it
 
     @classmethod
     def from_arrays(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bayesfric.arm.arm import Arm, remarks
+from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
@@ -104,7 +105,7 @@ def test_a_constant_position_is_the_reason_why_a_joint_is_not_fitted():
     [
         ({f"[{SHOULDER}]": "[hip]"}, f"joint '{SHOULDER}'"),
         ({f"[{SHOULDER}]": "[a]", f"[{ELBOW}]": "[b]"}, "arm.toml"),
-        ({"time [s]": "clock"}, "log.csv"),
+        ({"time [s]": "x"}, "time"),
     ],
 )
 def test_a_log_that_does_not_match_the_urdf_is_refused(here, changes, message):
@@ -136,7 +137,7 @@ def test_columns_follow_patterns_and_currents_drive_gains(here):
         },
     }
     arm = Arm("arm.urdf", options)
-    layout = arm.options.recording, {}
+    layout, _ = layout_of(here.folder / "log.csv", arm.bodies.joints, arm.options)
     log = ArmLog(here.folder / "log.csv", "log", arm.options, layout, arm.bodies.joints, 600)
     expected = bench.log(bench.urdf(), TRUTH, seconds=3.0)[f"effort[{ELBOW}] [N m]"]
     torque = log.measured(arm.bodies.joints[ELBOW]).torque
@@ -155,7 +156,8 @@ def test_segments_of_a_long_log_are_fitted(here, timed, span):
     torque = {"column": "effort[{joint}] [N m]", "unit": "N m"}
     recording = {**clock, "position": position, "torque": torque, **span}
     arm = Arm("arm.urdf", {"recording": recording})
-    joint, layout = arm.bodies.joints[ELBOW], (arm.options.recording, {})
+    joint = arm.bodies.joints[ELBOW]
+    layout, _ = layout_of(here.folder / "log.csv", arm.bodies.joints, arm.options)
     full, reduced = (
         ArmLog(here.folder / "log.csv", "log", arm.options, layout, arm.bodies.joints, size)
         for size in (4000, 2000)
