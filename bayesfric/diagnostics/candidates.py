@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from bayesfric.diagnostics.motion import ORDER, MotionSignals, deflection, in_gap
 from bayesfric.diagnostics.statistics import DELAYS, Key
@@ -314,12 +315,15 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     return dict(zip(delays, pairs, strict=True))
 
 
-def filtered_columns(o: Signals, columns: Iterable[tuple[Key, Array]]) -> tuple[list[Key], Array]:
-    """Filter columns ``(N,)`` by key; what is not finite counts as zero."""
+def filtered_columns(
+    o: Signals, columns: Iterable[tuple[Key, Array]], dtype: DTypeLike = np.float64
+) -> tuple[list[Key], Array]:
+    """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous; not finite counts as zero."""
     keys, rows = [], []
     for key, column in columns:
+        row = o.filter.apply(column)
+        if not np.isfinite(row).all():
+            row = o.filter.apply(np.where(np.isfinite(column), column, 0.0))
         keys.append(key)
-        rows.append(o.filter.apply(column))
-        if not np.isfinite(rows[-1]).all():
-            rows[-1] = o.filter.apply(np.where(np.isfinite(column), column, 0.0))
-    return keys, np.stack(rows, axis=1)
+        rows.append(row.astype(dtype))
+    return keys, np.array(rows).T

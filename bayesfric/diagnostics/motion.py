@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -320,15 +320,9 @@ def resonating(
         part = x[a:b]
         part = part - np.linspace(part[0], part[-1], part.size)
         size = fft.next_fast_len(2 * part.size, real=True)
-        response = _response(size, period, tuple(hertz), damping)
-        out[:, a:b] = fft.irfft(response * fft.rfft(part, size), size)[:, : part.size]
+        f, spectrum = fft.rfftfreq(size, period), fft.rfft(part, size)
+        for row, resonance in zip(out, hertz, strict=True):
+            r = f / resonance
+            response = 1.0 / (1.0 - r**2 + 2j * damping * r) - 1.0
+            row[a:b] = fft.irfft(response * spectrum, size)[: part.size]
     return out
-
-
-@lru_cache(maxsize=2)
-def _response(
-    size: int, period: float, hertz: tuple[float, ...], damping: float
-) -> NDArray[np.complex128]:
-    """Return the response of :func:`resonating` ``(k, f)``, the same for all replicates."""
-    f = fft.rfftfreq(size, period) / np.array(hertz)[:, None]
-    return np.asarray(1.0 / (1.0 - f**2 + 2j * damping * f) - 1.0)

@@ -419,7 +419,9 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     spectra = _spectra(recording)
     reason: Reason = "sampling" if band is None else "asked"
     if spectra is None:
-        return Resolution(WIDEST * fs if band is None else band, reason, 0.0, math.inf)
+        return Resolution(
+            WIDEST * (recording.pace or fs) if band is None else band, reason, 0.0, math.inf
+        )
     frequency, width, motion, unit_noise, _ = spectra
     # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
     quiet = frequency >= 0.3 * fs
@@ -482,7 +484,7 @@ def _choose(
     inverse share of an inertia that is lost.
     """
     fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
-    ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
+    ends: list[tuple[float, Reason]] = [(WIDEST * (recording.pace or fs), "sampling")]
     if variance > 0.0:
         noise = unit_noise * variance
         # from the frequency of the largest speeds on: below there is little to resolve

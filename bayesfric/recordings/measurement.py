@@ -284,6 +284,7 @@ class Measurement:
     motion: Literal["rotary", "linear"] = "rotary"  # of the joint
     torque_constant: float | None = None  # N m/A or N/A, where a current was measured
     widest_band: float | None = None  # Hz, of a usable acceleration, where a model determines it
+    pace: float | None = None  # Hz, of its slowest signal, where rows hold it or lie between
     late: float = 0.0  # delay of the position, s, where a model determines it; trimmed at both ends
     law: Law | None = None  # of the drive; None for a simulated replicate
     integrated: bool = False  # whether the position is the integral of the velocity

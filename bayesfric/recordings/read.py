@@ -117,7 +117,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
     source, table, time = aligned(source, table, drive)
-    table, time, stale, warnings = _fresh(source, table, time)
+    table, time, stale, pace, warnings = _as_measured(source, table, time)
     table = table.with_ones(len(time))
     steps, position, velocity = list(table.notes), None, None
     if source.position is not None:
@@ -147,8 +147,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         *_count_warnings(source, table, chosen),
     ]
     for key, signed in source.channels.items():
+        coded = None
         if key in _MEASURED and not source.steady:
-            checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
+            coded = checks.sign_code(_signed(signed, table)[chosen])
+        if coded is not None:
+            hint = f"where its sign is a bit, write {coded[0]} = {coded[1]}"
+            raise BadInput(table.label(signed.column), f"{key}: {coded[2]}", hint)
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
         if channel.sign == 1 and position is not None and source.voltage is None:
@@ -199,8 +203,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     inputs = _inputs(source, table, drive, grid, steps)
     off, excluded = _excluded(source, table, grid, warnings)
     excluded |= grid.linear(stale.astype(np.float64)) > 0.0
-    if source.steady:
-        excluded |= speed == 0.0
+    if source.steady and speed is not None:
+        # a speed of a few of its steps is none
+        excluded |= np.abs(speed) <= 3.5 * (checks.quantisation(speed) or 0.0)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     torque_constant = None
@@ -232,6 +237,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         integrated=position is None,
         steady=source.steady,
         ratio=drive.ratio,
+        pace=pace,
     )
 
 
@@ -321,29 +327,37 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
     return source.model_copy(update=update), table.decoded(decoded, notes)
 
 
-def _fresh(source: Columns, table: Table, time: Array) -> tuple[Table, Array, Flags, list[str]]:
-    """Leave rows out that repeat motion and torque, as of a drive that answers more slowly.
+def _as_measured(
+    source: Columns, table: Table, time: Array
+) -> tuple[Table, Array, Flags, float | None, list[str]]:
+    """Leave rows out that repeat motion and torque; interpolate a signal between its own rows.
 
-    Also flags rows that last longer than usual.
+    Returns also the stamps, flags of rows that last longer than usual, the pace in Hz of the
+    slowest signal, and warnings.
     """
-    channels = source.channels
-    moved = [channels[key].column for key in ("position", "velocity") if key in channels]
-    drive = [channels[key].column for key in ("torque", "current", "voltage") if key in channels]
-    signals = [table.values(column) for column in (*moved, *drive)]
-    fresh = None
-    if drive and np.ptp(signals[-1]) and not source.steady:
-        fresh = checks.fresh_rows(signals)
-    if fresh is None:
-        between, notes = dict[str | int, Array](), list[str]()
-        for key in ("position", "velocity") if not source.steady else ():
-            if key in channels and (read := checks.slower(table.values(channels[key].column))):
-                between[channels[key].column], rows = read
-                notes.append(f"{key}: each value is held over {rows} rows; interpolated between")
-        return table.decoded(between, notes), time, np.zeros(time.size, dtype=np.bool_), []
-    new, stale, hold = fresh
-    text = f"time: values are held over {hold} rows; those that repeat are left out ({len(new)} "
-    text += f"of {time.size} remain), and not compared where they last twice as long"
-    return table.part(new, time.size), time[new], stale, [text]
+    columns = {k: x.column for k, x in source.channels.items() if k in _MEASURED}
+    signals = {key: table.values(column) for key, column in columns.items()}
+    never, fresh = np.zeros(time.size, dtype=np.bool_), None
+    if len({*signals} - {"position", "velocity"}) and np.ptp([*signals.values()][-1]):
+        fresh = checks.fresh_rows([*signals.values()])
+    if fresh is not None:
+        rows, stale, hold = fresh
+        if source.steady:
+            rows, stale = rows[~stale], stale[~stale]
+        text = f"time: values are held over {hold} rows; those that repeat are left out "
+        text += f"({rows.size} of {time.size} remain), and not compared where they last longer"
+        return table.part(rows, time.size), time[rows], stale, None, [text]
+    between, notes, paces = dict[str | int, Array](), list[str](), list[float]()
+    for key, values in signals.items() if not source.steady else ():
+        if (own := checks.own_rows(values, time)) is not None:
+            from scipy.interpolate import pchip_interpolate
+
+            rows, how = own
+            inside = np.clip(time, *time[rows[[0, -1]]])
+            between[columns[key]] = pchip_interpolate(time[rows], values[rows], inside)
+            notes.append(f"{key}: each value is {how}; interpolated between")
+            paces.append(1.0 / float(np.median(np.diff(time[rows]))))
+    return table.decoded(between, notes), time, never, min(paces, default=None), []
 
 
 def _signed(channel: Channel, table: Table) -> Array:

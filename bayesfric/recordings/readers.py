@@ -586,7 +586,7 @@ def _read_parquet(path: Path, _: TableOptions) -> Table:
         index, part = places[index]
         kind, name = schema.types[index], schema.names[index]
         plain = getattr(kind, "value_type", kind)
-        unlike = (pa.types.is_nested, pa.types.is_time, pa.types.is_duration, pa.types.is_binary)
+        unlike = (pa.types.is_nested, pa.types.is_time, pa.types.is_binary)
         if any(is_kind(plain) for is_kind in unlike):
             problem = f"holds {str(kind)[:60]}, not numbers"
             raise BadInput(f"{path}, column '{name}'", problem, "export it as numbers")
