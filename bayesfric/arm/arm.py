@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.arm.arm_columns import layout_of
+from bayesfric.arm.arm_delay import common_delay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import ArmOptions
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
@@ -131,29 +132,43 @@ class Arm:
             prior = bodies.prior(options.urdf, options.payload)
             parameters = [prior.columns(loaded=log.loaded) for log in logs]
             projected = self._projected(parameters, logs, efforts)
-            fitted = {}
+            fitted = dict[str, FittedJoint]()
             for name, effort in efforts.items():
-                report(Progress(name))
-                joint = FittedJoint(
-                    bodies.joints[name], self.options.of(name).gear_ratio, projected[name][0]
-                )
-                try:
-                    if isinstance(effort, BadInput):
-                        raise effort
-                    urdf, *deviations = projected[name][1][0]
+                directions, torques = projected[name]
+                joint = FittedJoint(bodies.joints[name], options.of(name).gear_ratio, directions)
+                if isinstance(effort, BadInput):
+                    joint = replace(joint, failure=str(effort))
+                else:
+                    urdf, *deviations = torques[0]
                     joint = replace(
                         joint,
                         remarks=tuple(remarks(joint.joint, effort, urdf)),
                         urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
                     )
-                    model = self._model(joint, logs, projected[name][1], names[fitted_count:])
-                    fitted[name] = replace(joint, result=model.fit(seed=seed, progress=report))
+                fitted[name] = joint
+
+            def models(delay: float | None) -> Iterator[tuple[str, Model]]:
+                for name in [name for name, joint in fitted.items() if not joint.failure]:
+                    report(Progress(name))
+                    torques, others = projected[name][1], names[fitted_count:]
+                    try:
+                        yield name, self._model(fitted[name], logs, torques, others, delay)
+                    except BadInput as error:
+                        fitted[name] = replace(fitted[name], failure=str(error))
+
+            late = None if options.delay is not None else common_delay(dict(models(None)))
+            for name, model in models(
+                late.value if late and late.evident else options.delay or 0.0
+            ):
+                try:
+                    result = model.fit(seed=seed, progress=report)
+                    fitted[name] = replace(fitted[name], result=result)
                 except BadInput as error:
-                    fitted[name] = replace(joint, failure=str(error))
+                    fitted[name] = replace(fitted[name], failure=str(error))
         if all(joint.result is None for joint in fitted.values()):
             failures = "; ".join(f"{name}: {joint.failure}" for name, joint in fitted.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return FittedArm.combined(bodies, logs, fitted, prior, seed, assumed)
+        return FittedArm.combined(bodies, logs, fitted, prior, seed, assumed, late)
 
     def _projected(
         self,
@@ -211,8 +226,12 @@ class Arm:
         logs: Sequence[ArmLog],
         torques: Sequence[Array],
         held_out: Sequence[str],
+        delay: float | None,
     ) -> Model:
-        """Make the model of one joint: an element whose load is the rigid-body torque."""
+        """Make the model of one joint: an element whose load is the rigid-body torque.
+
+        ``delay`` is that of positions after efforts, s, unknown if None; options may have another.
+        """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)
         recordings = [log.recording(joint, t) for log, t in zip(logs, torques, strict=True)]
@@ -222,11 +241,20 @@ class Arm:
         if joint_options.rotor_inertia and joint_options.gear_ratio:
             inertia = joint_options.rotor_inertia * joint_options.gear_ratio**2
             priors["motor.inertia"] = {**normal, "loc": inertia, "scale": 0.2 * inertia}
+        delay = delay if joint_options.delay is None else joint_options.delay
+        gain = joint_options.gain or options.gain
+        if delay:
+            priors["drive.delay"] = delay
+        if gain:
+            lognormal = {"distribution": "lognorm", "s": gain, "scale": 1.0}
+            priors["drive.gain"] = [*gain] if isinstance(gain, tuple) else lognormal
         document = {
             "mechanism": {
                 "terms": options.terms,
                 "motion": joint.motion,
                 "offset": True,
+                "gain": bool(gain),
+                "delay": delay != 0.0,
                 "elements": {"motor": {**_FRICTION, **options.friction.settings()}},
                 "load": {"motion": joint.motion, "signals": columns},
             },

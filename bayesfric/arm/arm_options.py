@@ -12,11 +12,13 @@ from bayesfric.base.options import Options
 from bayesfric.mechanism.configuration import ElementOptions
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.units import Kilograms, Metres
+from bayesfric.recordings.units import Delay, Kilograms, Metres
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+# Relative standard deviation of a drive gain, or range of its factor.
+Gain = Positive | tuple[Positive, Positive]
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ NUMBERS: Mapping[str, JointNumber] = {
         ("motor.load", "motor.load_drive", "motor.load_back"), "load loss", "friction per load"
     ),
     "offset": JointNumber(("offset",), "", "offset"),
+    "gain": JointNumber(("drive.gain",), "drive gain", "true torque per effort"),
 }
 
 
@@ -60,7 +63,9 @@ class Payload(Options):
     mass: Kilograms = Field(0.0, description="Known mass, kg.")
     centre: Vector = Field((0.0, 0.0, 0.0), description="Its centre in the link's frame, m.")
     mass_sd: Kilograms = Field(1.0, description="Standard deviation of that mass, kg.")
-    centre_sd: Metres = Field(0.1, description="How far off that a mass of mass_sd may be, m.")
+    centre_sd: Metres = Field(
+        0.1, description="How far off its centre may be, and how large it is, m."
+    )
 
 
 class Uncertainty(Options):
@@ -85,6 +90,8 @@ class JointOptions(Options):
         description="Torque at the joint per current (drive gain), such as '13.58 N m/A'; it is "
         "{torque_constant} in [recording].",
     )
+    gain: Gain | None = Field(None, description="As that of the arm, for this joint.")
+    delay: Delay | None = Field(None, description="As that of the arm, for this joint.")
     gear_ratio: Positive | None = Field(
         None, description="Motor speed over joint speed; then the rotor's inertia is reported, too."
     )
@@ -115,6 +122,16 @@ class ArmOptions(Options):
     terms: Literal["auto", "as written"] = Field(
         "as written",
         description="auto adds terms that explain a joint's torque; minutes more a joint.",
+    )
+    gain: Gain | None = Field(
+        None,
+        description="How well drive gains are known, or the scale of efforts: relative standard "
+        "deviation, or range [0.8, 1.2] of true over measured torque; exact if left out.",
+    )
+    delay: Delay | None = Field(
+        None,
+        description="Time by which the positions of the log come after its efforts, such as "
+        "'4 ms', or 'off'; estimated by all joints if left out.",
     )
     processing: Processing = Field(
         Processing(), description="As [processing] of a configuration, for all joints."

@@ -11,13 +11,14 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
@@ -199,7 +200,7 @@ class FittedJoint:
         of_fit = (x for x in messages_of(self.result.summary) if x.kind != "held out")
         briefs = list(dict.fromkeys(message.brief for message in of_fit if message.brief))
         more = len(briefs) - FINDINGS
-        return lines + briefs[:FINDINGS] + [f"{more} more findings: its report"] * (more > 0)
+        return lines + briefs[:FINDINGS] + [f"further findings: {more}, in its report"] * (more > 0)
 
     def as_json(self) -> dict[str, Any]:
         """Give its numbers."""
@@ -236,7 +237,8 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
     consistency: JointConsistency
-    assumed: str = ""  # about units that the log does not have
+    assumed: str = ""  # about columns and units that the log does not name
+    late: ArmDelay | None = None  # of the efforts; None where it is known
 
     @classmethod
     def combined(
@@ -247,6 +249,7 @@ class FittedArm:
         prior: InertialPrior,
         seed: int | None,
         assumed: str = "",
+        late: ArmDelay | None = None,
     ) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
         rng, updated = np.random.default_rng(seed), dict(joints)
@@ -255,7 +258,7 @@ class FittedArm:
         consistency = combine_joints(prior, likelihoods, rng)
         for name, joint in fitted.items():
             updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, assumed)
+        return cls(bodies, (*logs,), updated, prior, consistency, assumed, late)
 
     @property
     def urdf(self) -> Path:
@@ -337,6 +340,7 @@ class FittedArm:
             "logs": [str(log.path) for log in self.logs],
             "assumed": self.assumed,
             "samples": self.samples,
+            "delay": self.late and asdict(self.late),
             "bodies": self.inertial_estimate,
             "joints": {name: joint.as_json() for name, joint in self.joints.items()},
         }
@@ -373,8 +377,9 @@ class FittedArm:
         for joint in self.fitted.values():
             joint.fitted.write(folder / joint.folder, draws=None if full else 300)
         record = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
+        columns = [x for x in COLUMNS if any(joint.cells[x] for joint in self.joints.values())]
         page = render(
-            "arm.html.j2", title=folder.name, arm=self, columns=COLUMNS, cell=_cell, full=full,
+            "arm.html.j2", title=folder.name, arm=self, columns=columns, cell=_cell, full=full,
             version=__version__,
         )  # fmt: skip
         files = {"arm.json": f"{record}\n", "arm.html": page}

@@ -138,7 +138,7 @@ class Bodies:
                     name_of = f"centre of {name}, {axis}"
                     rows.append((name_of, uncertainty.centre, "m", k, mass * change))
         k, centre, mass_sd = self.links.index(link), np.array(payload.centre), payload.mass_sd
-        moment_sd = mass_sd * payload.centre_sd
+        moment_sd = (payload.mass + mass_sd) * payload.centre_sd
         rows.append((f"payload of {link}", mass_sd, "kg", k, _point_mass(centre)))
         for axis, change in _centre_shifts(centre).items():
             rows.append((f"moment of the payload, {axis}", moment_sd, "kg m", k, change))

@@ -221,10 +221,12 @@ class Joint:
     def unseen_inertia(self) -> tuple[str, ...]:
         """Names of the inertias where all are before load-dependent friction; else empty.
 
-        An element's inertia is before its friction.
+        An element's inertia is before its friction. Of a load that is computed from further
+        columns, they have it.
         """
         lossy = [k for k, e in enumerate(self.elements) if e.load_loss != "none"]
-        if not lossy or self.load.has("inertia"):
+        computed = any(q.signal for q in self.load.quantities)
+        if not lossy or self.load.has("inertia") or computed:
             return ()
         held = [k for k, e in enumerate(self.elements) if e.has("inertia")]
         if any(k > lossy[-1] for k in held):
