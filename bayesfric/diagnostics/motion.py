@@ -254,7 +254,8 @@ def deflection(q, reach):  # type: ignore[no-untyped-def]
     Exact between samples. P. R. Dahl, "A solid friction model", The Aerospace Corporation,
     TOR-0158(3107-18)-1 (1968).
     """
-    z = np.zeros(q.size)
+    z = np.empty(q.size)
+    z[0] = 0.0
     for i in range(1, q.size):
         x = (q[i] - q[i - 1]) / reach
         side = 1.0 if x > 0.0 else -1.0
@@ -288,7 +289,9 @@ def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
 
     It flies freely from where its acceleration ``need`` changes sign until it meets the other side.
     """
-    out = np.zeros(need.size)
+    out = np.empty(need.size)
+    for i in range(need.size):
+        out[i] = 0.0
     for a, b in segments:
         side = 1.0 if need[a] > 0.0 else -1.0
         x, v, flying = side * half, 0.0, False

@@ -36,6 +36,7 @@ from bayesfric.estimates import autoregression as ar
 from bayesfric.inference.linear_torque import LinearTorque, linear_torque
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.kernels import INNER
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.signals import Signals
@@ -133,7 +134,7 @@ class PlainMoments:
         return flat
 
 
-@njit(cache=True, forceinline=True)
+@njit(**INNER, forceinline=True)
 def product_sum(x: Array, y: Array) -> float:
     """Sum of products of two arrays."""
     # four sums are as fast as reordering by the compiler, and reproducible
@@ -149,7 +150,7 @@ def product_sum(x: Array, y: Array) -> float:
     return (a + b) + (c + d)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def entry_of(age: int, i: int, j: int) -> int:
     """Return the index of ``r[m - i] r[m - j]``, ``i <= j <= age``, in the flat layout."""
     return age * (age + 1) * (age + 2) // 6 + i * (age + 1) - i * (i - 1) // 2 + j - i
@@ -450,9 +451,12 @@ def _moments(
     """
     out = np.empty((z.shape[0], m.forms.shape[0]))
     batch = 128
-    change, is_changed = np.zeros(m.rows.shape[0]), np.zeros(m.rows.shape[0], np.bool_)
-    changed = np.empty(m.rows.shape[0], np.int64)
-    residual = np.full(m.rows.shape[0], np.nan)  # of changed outputs and their neighbours
+    n_outputs = m.rows.shape[0]
+    change, is_changed = np.empty(n_outputs), np.empty(n_outputs, np.bool_)
+    changed = np.empty(n_outputs, np.int64)
+    residual = np.empty(n_outputs)  # of changed outputs and their neighbours
+    for k in range(n_outputs):
+        change[k], is_changed[k], residual[k] = 0.0, False, np.nan
     level, flipped = np.empty(batch), np.empty(batch, np.int64)
     for v in range(z.shape[0]):
         vector = z[v]
@@ -496,7 +500,7 @@ def _moments(
     return out
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _add_change(
     m: MomentMatrices, x: int, order: int, residual: Array, change: Array, out: Array
 ) -> None:

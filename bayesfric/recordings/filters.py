@@ -259,7 +259,7 @@ class ParallelFilter:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
         rows = np.ascontiguousarray(x, dtype=np.float64).reshape(-1, x.shape[-1])
         out = _windowed(rows, self.used, self.taps, self.starts, self.gains)
-        return out.reshape(*x.shape[:-1], self.n_outputs)
+        return np.asarray(out).reshape(*x.shape[:-1], self.n_outputs)
 
 
 @njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
