@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.assemble import alpha_sign
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Noise
@@ -24,7 +25,7 @@ from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, joint_log_density
 from bayesfric.recordings.arrays import Array, Flags
 
-Likelihood = TorqueLikelihood | PositionLikelihood
+Likelihood = TorqueLikelihood | PositionLikelihood | ClosedLoopLikelihood
 
 
 class Target:
@@ -98,6 +99,13 @@ class Target:
         assert isinstance(self.likelihood, PositionLikelihood)
         likelihood = self.likelihood.relinearised_at(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
+
+    def at(self, parameters: Array) -> Target:
+        """Return the same target, its closed-loop likelihood referring to parameters ``(d,)``."""
+        assert isinstance(self.likelihood, ClosedLoopLikelihood)
+        out, scales = copy(self), self.noise.scales(parameters[None, len(self.free) :])[0]
+        out.likelihood = self.likelihood.at(self.chain_values(parameters[None])[0], scales)
+        return out
 
     def precomputed(self, u: Array) -> Target:
         """Return the same target, fast near coordinates ``(n, d)``; its values do not change."""

@@ -65,6 +65,9 @@ class Plant(NamedTuple):
     vector: int  # its index there
     # (n_elements, 2) scratch memory: T = slope qdd + intercept of the transmitted torques
     lines: Array
+    # what a drive takes off the torque per position and speed of the joint, N m/rad and N m s/rad
+    stiffness: float
+    damping: float
 
 
 class State(NamedTuple):
@@ -105,6 +108,28 @@ def plant_of(all_elements: Array, loads: Array, carried: Carried | None, vector:
         carried,
         vector,
         np.empty((elements.shape[0], 2)),
+        0.0,
+        0.0,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def fed_back(plant: Plant, stiffness: float, damping: float) -> Plant:
+    """Return the joint under a drive that takes so much off the torque by position and speed."""
+    return Plant(
+        plant.elements,
+        plant.gain,
+        plant.offset,
+        plant.inertia,
+        plant.weight,
+        plant.angle,
+        plant.kinks,
+        plant.squares,
+        plant.carried,
+        plant.vector,
+        plant.lines,
+        stiffness,
+        damping,
     )
 
 
@@ -181,6 +206,7 @@ def acceleration(
     linearised at the acceleration ``about``, by Newton's method.
     """
     elements = plant.elements
+    torque -= plant.stiffness * q + plant.damping * qd
     still = _load_torque(plant, q, qd, sign, time)
     qdd, flow, about = 0.0, 0, 0.0
     for _ in range(40):
@@ -231,10 +257,11 @@ def acceleration(
 
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(plant: Plant, q: float, time: float) -> tuple[float, float]:
-    """Motor torques between which the joint at rest sticks."""
+    """Motor torques between which the joint at rest sticks, a drive's share at rest on top."""
+    taken = plant.stiffness * q
     return (
-        motor_torque(plant, q, 0.0, 0.0, -1.0, time),
-        motor_torque(plant, q, 0.0, 0.0, 1.0, time),
+        motor_torque(plant, q, 0.0, 0.0, -1.0, time) + taken,
+        motor_torque(plant, q, 0.0, 0.0, 1.0, time) + taken,
     )
 
 
