@@ -192,7 +192,7 @@ def motor_torque(plant: Plant, q: float, qd: float, qdd: float, sign: float, tim
         torque = element_torque(
             element, torque / element[RATIO], sign, speed, to_input * qdd, rises(element, speed)
         ) + _carried_torque(plant.carried, plant.vector, k, to_input, q, qd, sign, time)
-    return torque
+    return float(torque)
 
 
 @njit(cache=True, error_model="numpy")
@@ -299,7 +299,7 @@ def _agreement(plant: Plant, state: State, h: float, which: int) -> float:
     if which < 0:
         return sign * qd
     qdd, _ = acceleration(plant, q, qd, torque + rate * h, time + h, sign, pattern)
-    return _transmitted(plant, which, qdd, sign, pattern)
+    return float(_transmitted(plant, which, qdd, sign, pattern))
 
 
 @njit(**INNER, error_model="numpy")
