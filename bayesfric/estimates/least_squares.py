@@ -297,6 +297,7 @@ def typical_sizes(
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         position_step=min(o.position_step for o in observations),
+        period=max(float(np.median(np.diff(o.stamps))) for o in observations),
         columns={joint.names[c.index]: _rms_of(c, observations) for c in joint.carried},
     )
 

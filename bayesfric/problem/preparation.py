@@ -21,7 +21,7 @@ from bayesfric.estimates.processing import (
     with_fine_motion,
 )
 from bayesfric.inference.fitting import read_priors
-from bayesfric.inference.noise import MAX_ORDER, Autoregressive
+from bayesfric.inference.noise import CLOSED_LOOP_NOISE, MAX_ORDER, Autoregressive
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.mechanism.derived import derive
@@ -55,7 +55,7 @@ def prepare(
         )
     measurements = _read_all(config, chain, recordings)
     by_target = all(r.feedback is not None for r in measurements)
-    if by_target and chain.delay is None and tables.likelihood.method == "input-error":
+    if by_target and chain.delay is None:
         # drives react late to their target, which looks like viscous friction
         chain = replace(chain, delay=True)
     chain = replace(chain, by_target=by_target)
@@ -68,7 +68,7 @@ def prepare(
     with config.named():
         _check_size(chain, observations)
         _check_priors(config, chain)
-        priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
+        priors = read_priors(chain, config.priors, observations, _noise_quantities(config, chain))
         if chain.delay:
             prior = priors[chain.delay_name]
             known = as_knowledge(chain, priors)
@@ -267,9 +267,11 @@ def _check_priors(config: Config, chain: Joint) -> None:
             )
 
 
-def _noise_quantities(config: Config) -> tuple[str, ...]:
+def _noise_quantities(config: Config, chain: Joint) -> tuple[str, ...]:
     """Noise scales that may have a prior."""
     tables = config.tables
+    if chain.by_target:
+        return CLOSED_LOOP_NOISE.quantities
     if tables.likelihood.method == "output-error":
         return PositionLikelihood.noise.quantities
     return Autoregressive(MAX_ORDER if tables.noise.model == "auto" else 0).quantities

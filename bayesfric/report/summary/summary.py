@@ -123,7 +123,7 @@ def _sampler(posterior: Posterior) -> Sampler:
 
 def _residual(fit: Fit) -> Residual:
     outputs, observations = fit.target.likelihood.outputs, fit.observations
-    of_torque = fit.target.likelihood.method != "output-error"
+    of_torque = fit.target.likelihood.method == "input-error"
     measured = np.concatenate([o.measured for o in observations])
     # an offset explains nothing: one of each recording, or of all
     alike = [o.measured for o in observations] if fit.chain.own_offsets else [measured]
