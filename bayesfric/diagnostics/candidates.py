@@ -320,10 +320,12 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
 def filtered_columns(
     o: Signals, columns: Iterable[tuple[Key, Array]], dtype: DTypeLike = np.float64
 ) -> tuple[list[Key], Array]:
-    """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous in memory."""
+    """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous; not finite counts as zero."""
     keys, rows = [], []
     for key, column in columns:
+        row = o.filter.apply(column)
+        if not np.isfinite(row).all():
+            row = o.filter.apply(np.where(np.isfinite(column), column, 0.0))
         keys.append(key)
-        finite = np.where(np.isfinite(column), column, 0.0)
-        rows.append(o.filter.apply(finite).astype(dtype))
+        rows.append(row.astype(dtype))
     return keys, np.array(rows).T

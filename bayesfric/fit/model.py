@@ -809,7 +809,7 @@ class Result:
 
     def tree(self) -> xr.DataTree:
         """Return the contents of ``posterior.nc``."""
-        from bayesfric.report.posterior_file import posterior_tree  # imports xarray and pandas
+        from bayesfric.report.posterior_file import posterior_tree
 
         text = self.model.config.text
         tree = posterior_tree(self.fit, self.summary, text, self.recordings)

@@ -8,7 +8,7 @@ Priors are given in physical parameters :math:`\theta`, walkers move in unconstr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -184,7 +184,11 @@ class Target:
 
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density ``(n,)`` of parameters ``(n, d)``."""
-        return joint_log_density(self.priors, parameters)
+        return self._prior_density(parameters)
+
+    @cached_property
+    def _prior_density(self) -> Callable[[Array], Array]:
+        return joint_log_density(self.priors)
 
     def log_likelihood(self, parameters: Array) -> Array:
         """Log-likelihood ``(n,)`` of parameters ``(n, d)``."""
