@@ -35,6 +35,7 @@ from bayesfric.recordings.source import (
     Columns,
     Current,
     Effort,
+    Filtered,
     Position,
     Processing,
     Recording,
@@ -473,7 +474,7 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
 
 def _lag(channel: Channel | None) -> Lag | None:
     """Return the low-pass that a channel passed before it was recorded, where one is known."""
-    if not isinstance(channel, Velocity | Torque | Current) or channel.lowpass is None:
+    if not isinstance(channel, Filtered) or channel.lowpass is None:
         return None
     return channel.lowpass, channel.lowpass_order
 
