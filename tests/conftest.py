@@ -48,6 +48,8 @@ LONG = {
         calibration_check explanation regression replicates""",
     "estimates": """
         assemble input_error output_error processing""",
+    "fit": """
+        targets_alone""",
     "export": """
         command mujoco""",
     "fleet": """

@@ -802,6 +802,9 @@ class Result:
             {name: point[name] for name in self.joint.names},
             NoiseChoice(noise.order or 0, (), tuple(noise.memory), noise.room),
         )
+        if self.model.method == "closed-loop":
+            stride = int(self.summary.likelihood.get("stride", 1))
+            target = target.at(np.array([point[name] for name in target.names]), stride)
         return saved_fit(target, self.model.held_out, self.summary, groups)
 
     def tree(self) -> xr.DataTree:
