@@ -212,6 +212,12 @@ class Law:
     back_emf: float = 0.0  # motor torque for a speed of the joint
     off: Flags | None = None  # where the drive is off, if known
     held: bool = False  # whether a command is held until the next; else linear
+    # ranges of gains that are not known, of kp and in addition to kd, as kp and kd; kp is its upper
+    # end, or 1 where it is any
+    unknown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # period at which the drive closes its loop, and lag of the speed that it uses, s
+    loop: float | None = None
+    velocity_filter: float | None = None
 
     @property
     def follows(self) -> bool:

@@ -1,15 +1,16 @@
-"""``posterior.nc``: draws, predictions and data of a run in ArviZ's groups, written by xarray."""
+"""``posterior.nc``: draws, predictions and data of a run in ArviZ's groups."""
 
 from __future__ import annotations
 
+import io
 import json
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from bayesfric.base import __version__
@@ -20,6 +21,9 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.summary.derived_quantities import Group, coefficients
 from bayesfric.report.summary.record import PosteriorRow, Summary
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 # Groups whose variables are parameters and derived quantities, in their units.
 _IN_UNITS = ("posterior", "derived", "prior", "widened")
 
@@ -28,18 +32,29 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def posterior_tree(
+    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
+) -> xr.DataTree:
+    """Return the contents of ``posterior.nc`` for xarray and ArviZ."""
+    import xarray as xr  # takes half a second
+
+    content = posterior_bytes(fit, summary, config_text, recordings)
+    return xr.load_datatree(io.BytesIO(content), engine="h5netcdf")
+
+
+def posterior_bytes(
     fit: Fit,
     summary: Summary,
     config_text: str,
     recordings: list[Measurement],
     draws: int | None = None,
-) -> xr.DataTree:
-    """Put the groups of ``posterior.nc`` together.
+) -> bytes:
+    """Return ``posterior.nc``, NetCDF 4: HDF5 whose dimensions are scales.
 
-    In ``posterior`` and ``derived`` a walker is a chain. ``widened`` holds both with model
-    discrepancy, where recordings show any: the draws that simulations use. ``log_likelihood`` and
-    ``posterior_predictive`` hold a number for each output and a subset of the draws. A light run
-    has so many ``draws`` of posterior and prior.
+    It is made in memory: on a full disk HDF5 would end the process. In ``posterior`` and
+    ``derived`` a walker is a chain. ``widened`` holds both with model discrepancy, where recordings
+    show any: the draws that simulations use. ``log_likelihood`` and ``posterior_predictive`` hold a
+    number for each output and a subset of the draws. A light run has so many ``draws`` of posterior
+    and prior.
     """
     posterior, outputs = fit.posterior, fit.target.likelihood.outputs
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
@@ -57,31 +72,33 @@ def posterior_tree(
     }
     times = {f"time_{o.name}": o.time for o in outputs}
     described = {name: _description(row) for name, row in summary.rows.items()}
-    datasets = {
-        f"/{group}": _dataset(group, arrays, times, described if group in _IN_UNITS else {})
-        for group, arrays in groups.items()
-    }
-    root = xr.Dataset(attrs=_provenance(fit, summary, config_text, recordings))
-    return xr.DataTree.from_dict({"/": root, **datasets})
+    with h5py.File("posterior.nc", "w", driver="core", backing_store=False, track_order=True) as f:
+        f.attrs.update(_provenance(fit, summary, config_text, recordings))
+        for name, arrays in groups.items():
+            group = f.create_group(name, track_order=True)
+            _write(group, arrays, times, described if name in _IN_UNITS else {})
+        f.flush()
+        return bytes(f.id.get_file_image())
 
 
-def _dataset(
-    group: str,
+def _write(
+    group: h5py.Group,
     arrays: Arrays,
     times: Mapping[str, Array],
     described: Mapping[str, dict[str, str]],
-) -> xr.Dataset:
-    """Name and label the dimensions: chain and draw, then the time of the outputs."""
-    variables, coords = {}, {}
+) -> None:
+    """Write arrays with their dimensions: chain and draw, then the time of the outputs."""
     for name, array in arrays.items():
-        dims = [] if group == "observed_data" else ["chain", "draw"]
+        dims = [] if group.name == "/observed_data" else ["chain", "draw"]
         if len(dims) < array.ndim:
             time = f"time_{name}"
             dims = [*dims, time if time in times else f"term_{name}"]
-        variables[name] = (dims, array, described.get(name, {}))
-        for dim, size in zip(dims, array.shape, strict=True):
-            coords[dim] = times.get(dim, np.arange(size))
-    return xr.Dataset(variables, coords)
+        variable = group.create_dataset(name, data=array)
+        variable.attrs.update(described.get(name, {}))
+        for axis, dim, size in zip(variable.dims, dims, array.shape, strict=True):
+            if dim not in group:
+                group.create_dataset(dim, data=times.get(dim, np.arange(size))).make_scale(dim)
+            axis.attach_scale(group[dim])
 
 
 def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str, Arrays]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayesfric.report.posterior_file import posterior_tree
+from bayesfric.report.posterior_file import posterior_bytes
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
@@ -18,7 +18,7 @@ CONFIG = 'a = "ä"\n[b]\n'
 
 
 def written(fit, summary, draws=None):
-    return bytes(posterior_tree(fit, summary, CONFIG, [], draws).to_netcdf(engine="h5netcdf"))
+    return posterior_bytes(fit, summary, CONFIG, [], draws)
 
 
 @pytest.fixture(scope="module")
