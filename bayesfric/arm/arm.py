@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.arm.arm_columns import layout_of
+from bayesfric.arm.arm_coupling import coupled_joint, remark
 from bayesfric.arm.arm_delay import common_delay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import ArmOptions
@@ -63,7 +64,7 @@ class Arm:
             source = Path("Arm")
             text = document_text(options or {}, source)
         self.options = checked_toml(text, source, ArmOptions, "table of an arm")
-        self.bodies = Bodies(Path(urdf), self.options.gravity)
+        self.bodies = Bodies(Path(urdf), self.options.gravity, self.options.coupling)
         joints = self.bodies.joints
         for name, joint_options in self.options.joints.items():
             if name not in joints:
@@ -134,7 +135,7 @@ class Arm:
             projected = self._projected(parameters, logs, efforts)
             fitted = dict[str, FittedJoint]()
             for name, effort in efforts.items():
-                directions, torques = projected[name]
+                directions, torques, resolved = projected[name]
                 joint = FittedJoint(bodies.joints[name], options.of(name).gear_ratio, directions)
                 if isinstance(effort, BadInput):
                     joint = replace(joint, failure=str(effort))
@@ -144,22 +145,18 @@ class Arm:
                         joint,
                         remarks=tuple(remarks(joint.joint, effort, urdf)),
                         urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
+                        is_loaded=_rms([urdf]) > resolved,
                     )
                 fitted[name] = joint
 
-            def models(delay: float | None) -> Iterator[tuple[str, Model]]:
-                for name in [name for name, joint in fitted.items() if not joint.failure]:
-                    report(Progress(name))
-                    torques, others = projected[name][1], names[fitted_count:]
-                    try:
-                        yield name, self._model(fitted[name], logs, torques, others, delay)
-                    except BadInput as error:
-                        fitted[name] = replace(fitted[name], failure=str(error))
-
-            late = None if options.delay is not None else common_delay(dict(models(None)))
-            for name, model in models(
-                late.value if late and late.evident else options.delay or 0.0
-            ):
+            arguments = fitted, logs, projected, names[fitted_count:]
+            models = self._models(*arguments, delay=options.delay or 0.0)
+            late = None if options.delay is not None else common_delay(models)
+            if late is not None and late.evident:
+                models = self._models(*arguments, delay=late.value)
+            for name, model in models.items():
+                report(Progress(name))
+                fitted[name] = self._with_coupling(fitted[name], model, logs[0], projected[name][1])
                 try:
                     result = model.fit(seed=seed, progress=report)
                     fitted[name] = replace(fitted[name], result=result)
@@ -170,6 +167,20 @@ class Arm:
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
         return FittedArm.combined(bodies, logs, fitted, prior, seed, assumed, late)
 
+    def _with_coupling(
+        self, joint: FittedJoint, model: Model, log: ArmLog, torques: Sequence[Array]
+    ) -> FittedJoint:
+        """Note a joint whose motor turns with another one, too, as no option says."""
+        name, order = joint.joint.name, [*self.bodies.joints]
+        if name in self.options.coupling.joints:
+            return joint
+        observation, *_ = model.observations
+        coupled = coupled_joint(observation, log, order, name, torques[0])
+        if coupled is None:
+            return joint
+        text = remark(name, coupled, "N" if joint.joint.motion == "linear" else "N m")
+        return replace(joint, remarks=(*joint.remarks, text), is_coupled=True)
+
     def _projected(
         self,
         parameters: Sequence[Array],
@@ -177,13 +188,13 @@ class Arm:
         efforts: Mapping[str, Measurement | BadInput],
         *,
         compared: int = 2000,
-    ) -> dict[str, tuple[Array, list[Array]]]:
+    ) -> dict[str, tuple[Array, list[Array], float]]:
         """Project the inertial prior on the torque of each joint.
 
         ``parameters`` are the prior's columns in each log; ``compared`` samples in all give the
         directions. Returns by joint directions
-        ``(n_deviations, k)``, and the torques ``(1 + k, n)`` in each log: nominal, and one sd along
-        each direction.
+        ``(n_deviations, k)``, the torques ``(1 + k, n)`` in each log: nominal, and one sd along
+        each direction, and the smallest rms torque that the effort resolves.
         """
         bodies, order = self.bodies, list(self.bodies.joints)
         counts = [log.motion.shape[2] for log in logs]
@@ -197,7 +208,7 @@ class Arm:
             for log, at, columns in zip(logs, samples, parameters, strict=True)
         ]
         every_torque, at = np.concatenate(torques, axis=2), samples[0]
-        joint_directions = []
+        joint_directions, resolved = [], []
         for j, name in enumerate(order):
             threshold, effort = np.inf, efforts.get(name)
             if isinstance(effort, Measurement):
@@ -206,6 +217,7 @@ class Arm:
                 error = resolution(torque, qd, qdd, torques[0][j])
                 threshold = error * np.sqrt(at.size / counts[0])
             joint_directions.append(directions(every_torque[j, 1:], threshold))
+            resolved.append(threshold)
         width = max(x.shape[1] for x in joint_directions)
         combinations = np.zeros((len(order), parameters[0].shape[1], 1 + width))
         combinations[:, 0, 0] = 1.0
@@ -216,9 +228,28 @@ class Arm:
             for log, columns in zip(logs, parameters, strict=True)
         ]
         return {
-            name: (x, [torque[j, : 1 + x.shape[1]] for torque in projected])
+            name: (x, [torque[j, : 1 + x.shape[1]] for torque in projected], resolved[j])
             for j, (name, x) in enumerate(zip(order, joint_directions, strict=True))
         }
+
+    def _models(
+        self,
+        fitted: dict[str, FittedJoint],
+        logs: Sequence[ArmLog],
+        projected: Mapping[str, tuple[Array, list[Array], float]],
+        held_out: Sequence[str],
+        delay: float,
+    ) -> dict[str, Model]:
+        """Make the models of joints; the reason why there is none is put into ``fitted``."""
+        models = dict[str, Model]()
+        for name, joint in fitted.items():
+            try:
+                if not joint.failure:
+                    torques = projected[name][1]
+                    models[name] = self._model(joint, logs, torques, held_out, delay)
+            except BadInput as error:
+                fitted[name] = replace(joint, failure=str(error))
+        return models
 
     def _model(
         self,
@@ -226,11 +257,11 @@ class Arm:
         logs: Sequence[ArmLog],
         torques: Sequence[Array],
         held_out: Sequence[str],
-        delay: float | None,
+        delay: float,
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque.
 
-        ``delay`` is that of positions after efforts, s, unknown if None; options may have another.
+        ``delay`` is that of positions after efforts, s, unless the joint's options have another.
         """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)
@@ -248,6 +279,9 @@ class Arm:
         if gain:
             lognormal = {"distribution": "lognorm", "s": gain, "scale": 1.0}
             priors["drive.gain"] = [*gain] if isinstance(gain, tuple) else lognormal
+        friction = {**_FRICTION, **options.friction.settings()}
+        if not fitted.is_loaded:  # friction that depends on it is not identifiable
+            friction["load_loss"] = "none"
         document = {
             "mechanism": {
                 "terms": options.terms,
@@ -255,7 +289,7 @@ class Arm:
                 "offset": True,
                 "gain": bool(gain),
                 "delay": delay != 0.0,
-                "elements": {"motor": {**_FRICTION, **options.friction.settings()}},
+                "elements": {"motor": friction},
                 "load": {"motion": joint.motion, "signals": columns},
             },
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
+from bayesfric.base.errors import Unfit
 from bayesfric.base.options import Options
 from bayesfric.mechanism.configuration import ElementOptions
 from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.source import Processing
 from bayesfric.recordings.units import Delay, Kilograms, Metres
 
@@ -77,6 +80,33 @@ class Uncertainty(Options):
     centre: Metres = Field(0.02, description="Of each body's centre of mass, m, along each axis.")
 
 
+class Coupling(Options):
+    """The ``[coupling]`` table: joints of which a motor turns several, as in many wrists."""
+
+    joints: tuple[str, ...] = Field((), description="Their names, in the order of the matrix.")
+    matrix: tuple[tuple[Finite, ...], ...] = Field(
+        (),
+        description="Positions of the motors, each over its gear ratio, per positions of the "
+        "joints, a row a motor: [[1, 0], [1, 1]]. Efforts are those of the motors.",
+    )
+
+    @model_validator(mode="after")
+    def _invertible(self) -> Self:
+        size = len(self.joints)
+        if len(set(self.joints)) < size or [*map(len, self.matrix)] != [size] * size:
+            raise Unfit(f"joints that differ, and {size} rows of {size} numbers", "got others")
+        if size and not np.linalg.cond(np.array(self.matrix)) < 1e6:
+            raise Unfit("a matrix that can be inverted", "got one that cannot")
+        return self
+
+    def motors(self, joints: Sequence[str]) -> Array:
+        """Give the positions of all motors per positions of ``joints``, a square matrix."""
+        every, at = np.eye(len(joints)), [[*joints].index(name) for name in self.joints]
+        if at:
+            every[np.ix_(at, at)] = self.matrix
+        return every
+
+
 class JointOptions(Options):
     """A ``[joints.NAME]`` table."""
 
@@ -108,6 +138,7 @@ class ArmOptions(Options):
 
     gravity: Vector = Field((0.0, 0.0, -9.80665), description="In the frame of the root, m/s².")
     payload: Payload = Field(Payload(), description="A mass that is not in the URDF.")
+    coupling: Coupling = Field(Coupling(), description="Joints of which a motor turns several.")
     urdf: Uncertainty = Field(Uncertainty(), description="How well the URDF is known.")
     recording: dict[str, Any] = Field(
         default_factory=dict,

@@ -153,6 +153,8 @@ def next_motion(
     It stays between positions where the arm has been, and within the URDF's limits. ``wanted`` are
     numbers such as ``"elbow_joint.load"``, by default all.
     """
+    if arm.bodies.motors is not None:
+        raise BadInput("--advise", "has no limits of coupled joints", "leave it out")
     z, prior = arm.consistency.draws, arm.prior
     present = replace(
         prior,

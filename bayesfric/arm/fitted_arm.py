@@ -57,6 +57,8 @@ class FittedJoint:
     result: Result | None = None
     failure: str = ""
     remarks: tuple[str, ...] = ()
+    is_coupled: bool = False  # by its data, while no option says so
+    is_loaded: bool = True  # whether the log resolves its rigid-body torque
     # torque_rms of the bodies on this motion, N m or N, and doubt_rms, the prior sd of that
     urdf: Mapping[str, float] = field(default_factory=dict)
     # by all joints: numbers, predictions of held-out logs, and the p-value under the other joints
@@ -329,8 +331,10 @@ class FittedArm:
     @property
     def reliable(self) -> bool:
         """Whether no joint warns of its numbers, as one that contradicts the others does."""
-        joints = self.fitted.values()
-        return all(x.agrees and x.fitted.summary.sampler.status == "reliable" for x in joints)
+        return all(
+            x.agrees and not x.is_coupled and x.fitted.summary.sampler.status == "reliable"
+            for x in self.fitted.values()
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Give the content of ``arm.json``."""
@@ -353,7 +357,8 @@ class FittedArm:
         unidentified = list[str]()
         for name, joint in self.fitted.items():
             for title, row in joint.cells.items():
-                if row is not None and row.reported.status == "unidentified":
+                unloaded = title == NUMBERS["load"].title and not joint.is_loaded
+                if unloaded or (row is not None and row.reported.status == "unidentified"):
                     unidentified.append(f"{name} {title}")
                 elif row is not None:
                     table.append(printed_row(f"{name} {title}", row.reported, row.unit, row.level))

@@ -22,7 +22,7 @@ from bayesfric.recordings.signals import Signals
 
 # Terms of the load that a transmission carries, without friction.
 _WEIGHTS = frozenset({"first_moment", "spring", "spring_cubic"})
-_CARRIED = _WEIGHTS | {"inertia", "gravity_angle", "gain"}
+_CARRIED = _WEIGHTS | {"inertia", "gravity_angle", "gain", "kp"}
 # Cycles of cogging per turn.
 TURNS = {
     f"{k} a turn of the {side}": (k, side)
@@ -168,7 +168,8 @@ class MotionSignals:
     def regressors(self) -> Sequence[Array]:
         """Acceleration, sign of the speed, speed, and unit gravity and springs."""
         chain, still = self.chain, replace(self.o, qdd=np.zeros_like(self.o.q))
-        sizes = np.eye(len(chain.names))
+        gains = [p.quantity in ("gain", "kp") for p in chain.parameters]  # which divide
+        sizes = np.where(gains, self.values, np.eye(len(chain.names)))
         indices = [i for i, p in enumerate(chain.parameters) if p.quantity in _WEIGHTS]
         weights = (_torque(chain, sizes[i], still) for i in indices)
         return self.o.qdd, self.direction, self.o.qd, *weights

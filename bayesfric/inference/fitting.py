@@ -147,7 +147,14 @@ def read_priors(
     if not scales.torque:
         problem = "the motor's torque is 0 throughout, and no other torque is known"
         raise BadInput("priors", problem, 'fix what is known, such as "load.first_moment" = 0.14')
-    defaults = {p.name: default_prior(chain, p, scales) for p in chain.parameters}
+    per_torque = scales
+    if chain.kp:  # the torque was computed with another gain
+        gain = priors["drive.kp"]
+        times = (gain.value if gain.fixed else gain.upper) / chain.kp
+        per_torque = replace(
+            scales, torque=times * scales.torque, exchanged=times * scales.exchanged
+        )
+    defaults = {p.name: default_prior(chain, p, per_torque) for p in chain.parameters}
     priors = {**defaults, **priors}
     for name, quantity in zip(noises, noise, strict=True):
         priors[name] = SCALES[quantity].read_prior(texts, scales)
@@ -331,7 +338,40 @@ def _fit_closed_loop(
     if share < EFFICIENT:
         few = {"ensembles": 2, "min_ess": float(ENOUGH), "max_steps": 2000}
         posterior = sample(shaped, start, sampling.model_copy(update=few), progress=progress)
+    posterior = replace(posterior, draws=_with_loop_doubt(shaped, posterior, rng))
     return Fit(shaped, posterior, tuple(estimates), faster=at_mode.faster)
+
+
+def _with_loop_doubt(
+    target: Target, posterior: Posterior, rng: np.random.Generator, *, longest: float = 1e-3
+) -> Array:
+    """Add to draws what an unknown loop period T and lag of the drive's speed take away.
+
+    That is kp T/2 of viscous loss and kd (T/2 + lag) of inertia. Both are up to ``longest`` s: a
+    drive for joints closes its loop a thousand times a second or more often.
+    """
+    likelihood, draws = target.likelihood, posterior.draws.copy()
+    assert isinstance(likelihood, ClosedLoopLikelihood)
+    chain, law = likelihood.chain, likelihood.recordings[0].law
+    assert law is not None
+    shape, flat = draws.shape[:-1], draws.reshape(-1, draws.shape[-1])
+    factor, more = chain.drive_gains(target.chain_values(flat))
+    scale = float(law.scale.mean())
+    back, lag = (
+        rng.uniform(0.0, longest, len(flat)) * (known is None)
+        for known in (law.loop, law.velocity_filter)
+    )
+    lost = {
+        "viscous": scale * factor * law.kp * back / 2.0,
+        "inertia": scale * (law.kd + more) * (back / 2.0 + lag),
+    }
+    for quantity, torque in lost.items():
+        owners = [n.rpartition(".")[0] for n in target.free if n.rpartition(".")[2] == quantity]
+        if owners:
+            reach = chain.reaches[owners[0]]
+            column = target.names.index(f"{owners[0]}.{quantity}")
+            flat[:, column] += torque * chain.ratio / reach**2
+    return flat.reshape(*shape, -1)
 
 
 def _spread(target: Target, prior_draws: Array) -> Array:

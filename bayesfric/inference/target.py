@@ -100,11 +100,17 @@ class Target:
         likelihood = self.likelihood.relinearised_at(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
 
-    def at(self, parameters: Array) -> Target:
-        """Return the same target, its closed-loop likelihood referring to parameters ``(d,)``."""
-        assert isinstance(self.likelihood, ClosedLoopLikelihood)
-        out, scales = copy(self), self.noise.scales(parameters[None, len(self.free) :])[0]
-        out.likelihood = self.likelihood.at(self.chain_values(parameters[None])[0], scales)
+    def at(self, parameters: Array, stride: int | None = None) -> Target:
+        """Return the same target, its closed-loop likelihood referring to parameters ``(d,)``.
+
+        With another ``stride`` that of every so many readings.
+        """
+        likelihood, out = self.likelihood, copy(self)
+        assert isinstance(likelihood, ClosedLoopLikelihood)
+        if stride not in (None, likelihood.stride):
+            likelihood = likelihood.with_stride(stride)
+        scales = self.noise.scales(parameters[None, len(self.free) :])[0]
+        out.likelihood = likelihood.at(self.chain_values(parameters[None])[0], scales)
         return out
 
     def precomputed(self, u: Array) -> Target:

@@ -28,7 +28,7 @@ from bayesfric.mechanism.integrate import (
     plant_of,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.kernels import GAIN, VISCOUS
+from bayesfric.mechanism.kernels import GAIN, INERTIA, VISCOUS
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.measurement import Inputs, Law
 
@@ -77,15 +77,19 @@ def _loop(
     factor, kd = joint.drive_gains(vectors)
     load[:, GAIN] /= factor
     elements[:, 0, VISCOUS] -= kd / joint.ratio
+    kp, kd = factor * law.kp, law.kd + kd
+    # a loop that is closed every T s looks T/2 ago, and its speed is late by its filter, too
+    back, lag = 0.5 * (law.loop or 0.0), law.velocity_filter or 0.0
+    elements[:, 0, INERTIA] -= float(law.scale.mean()) * kd * (back + lag) / joint.ratio
     on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
     command, scale, on = (
         np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on)
     )
     late = joint.delays(vectors) / period if joint.by_target and law.closed else 0.0 * factor
-    gains = np.stack([factor, factor * law.kp, law.kd + kd, late], axis=1)
-    kp, limit, back_emf = float(law.kp), float(law.limit), float(law.back_emf)
+    gains = np.stack([factor, kp, kd - back * kp, late], axis=1)
+    limit, back_emf = float(law.limit), float(law.back_emf)
     drive = _Drive(
-        command, 1.0, scale, on, kp, 0.0, limit, back_emf, law.held, 0.0, period, begin, step
+        command, 1.0, scale, on, 0.0, 0.0, limit, back_emf, law.held, 0.0, period, begin, step
     )
     return _Loop(elements, load, carried, possible(joint, vectors, elements, load), drive, gains)
 

@@ -408,3 +408,31 @@ def feedback(
     if share > 0.98 and gains[1] < 0.0 and np.var(gains[1] * q) > 0.5 * np.var(t):
         return "position error", share
     return None
+
+
+def target_fault(target: Array, position: Array, *, lags: int = 10) -> tuple[str, str] | None:
+    """Say why a position ``(n,)`` cannot follow a target ``(n,)``, and what to do.
+
+    A position comes after its target, is about as large, and moves the same way.
+    """
+    if not np.ptp(target):
+        return "never moves", "record a motion, or name the column of targets"
+    lags = min(lags, target.size // 4)
+    middle = slice(lags, target.size - lags)
+    goals = np.array([np.roll(target, k)[middle] for k in range(-lags, lags + 1)])
+    goals = goals - goals.mean(axis=1, keepdims=True)
+    q = position[middle] - position[middle].mean()
+    sizes = np.sqrt((goals**2).sum(axis=1) * (q @ q))
+    correlation = np.divide(goals @ q, sizes, out=np.zeros(len(goals)), where=sizes > 0.0)
+    best = int(np.argmax(correlation))
+    ratio = float(np.std(target)) / max(float(np.std(position)), 1e-300)
+    if correlation[best] < 0.2:
+        runs = "runs against" if correlation.min() < -0.7 else "does not move"
+        return f"the position {runs} this target", "take this joint's own target, with its sign"
+    if correlation[best] > 0.7 and not 0.1 < ratio < 10.0:
+        return f"the target moves {ratio:.3g} times as far as the position", "correct its unit"
+    left = 1.0 - correlation**2
+    if best < lags and left[best] < 0.8 * left[lags]:
+        problem = f"the position comes {lags - best} samples before this target"
+        return problem, "swap the two columns, or log targets when they are sent"
+    return None

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags, Index, Segments
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, pchip
 
 # Shorter segments between gaps are left out.
 LEAST_SAMPLES = 50
@@ -46,9 +46,7 @@ class Grid:
 
     def smooth(self, values: Array) -> Array:
         """Interpolate by PCHIP, which keeps the slope continuous."""
-        from scipy.interpolate import pchip_interpolate
-
-        return self._bring(values, lambda x, xp, fp: np.asarray(pchip_interpolate(xp, fp, x)))
+        return self._bring(values, pchip)
 
     def _bring(self, values: Array, interpolate: Callable[[Array, Array, Array], Array]) -> Array:
         parts = [values[a:b] for a, b in self.pieces]
@@ -214,6 +212,12 @@ class Law:
     back_emf: float = 0.0  # motor torque for a speed of the joint
     off: Flags | None = None  # where the drive is off, if known
     held: bool = False  # whether a command is held until the next; else linear
+    # ranges of gains that are not known, of kp and in addition to kd, as kp and kd; kp is its upper
+    # end, or 1 where it is any
+    unknown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # period at which the drive closes its loop, and lag of the speed that it uses, s
+    loop: float | None = None
+    velocity_filter: float | None = None
 
     @property
     def follows(self) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, pchip
 from bayesfric.recordings.measurement import (
     Grid,
     Inputs,
@@ -35,6 +35,7 @@ from bayesfric.recordings.source import (
     Columns,
     Current,
     Effort,
+    Filtered,
     Position,
     Processing,
     Recording,
@@ -188,6 +189,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
+    if law.closed and (fault := checks.target_fault(law.command / law.kp, joint)) is not None:
+        raise BadInput(table.label(channel.column), *fault)
     motor_speed = np.zeros(joint.shape) if speed is None else speed
     by_speed = channel.sign == "by-speed"
     if speed is None and (law.back_emf or law.kd or by_speed):
@@ -350,11 +353,8 @@ def _as_measured(
     between, notes, paces = dict[str | int, Array](), list[str](), list[float]()
     for key, values in signals.items() if not source.steady else ():
         if (own := checks.own_rows(values, time)) is not None:
-            from scipy.interpolate import pchip_interpolate
-
             rows, how = own
-            inside = np.clip(time, *time[rows[[0, -1]]])
-            between[columns[key]] = pchip_interpolate(time[rows], values[rows], inside)
+            between[columns[key]] = pchip(time, time[rows], values[rows])
             notes.append(f"{key}: each value is {how}; interpolated between")
             paces.append(1.0 / float(np.median(np.diff(time[rows]))))
     return table.decoded(between, notes), time, never, min(paces, default=None), []
@@ -473,7 +473,7 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
 
 def _lag(channel: Channel | None) -> Lag | None:
     """Return the low-pass that a channel passed before it was recorded, where one is known."""
-    if not isinstance(channel, Velocity | Torque | Current) or channel.lowpass is None:
+    if not isinstance(channel, Filtered) or channel.lowpass is None:
         return None
     return channel.lowpass, channel.lowpass_order
 
@@ -538,14 +538,14 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     motion = drive.motor_motion if target.side == "motor" else drive.motion
     # the column in 'times' is the supply, and multiplies the scale below
     goal, _ = joint_signal(target.model_copy(update={"times": None}), "target", table, drive)
-    gives, kp = _gain(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
+    (gives, kp), kps = _gains(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
     missing = [key for key in _REQUIRED.get(gives, ()) if getattr(target, key) is None]
     if missing:
-        problem = f"is not given, and kp = '{target.kp}' needs it"
+        problem = f"is not given, and kp = {target.kp!r} needs it"
         raise BadInput(f"{where}, {missing[0]}", problem, f"add {missing[0]} = ...")
-    kd, limit = 0.0, np.inf
+    kd, kds, limit = 0.0, None, np.inf
     if target.kd is not None:
-        _, kd = _gain(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
+        (_, kd), kds = _gains(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
     if target.limit is not None:
         limit = units.scale([target.limit], gives, f"{where}, limit")
     to_side = drive.ratio if target.side == "motor" else 1.0
@@ -554,13 +554,25 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     if gives == "share" and target.times is not None:
         unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
         scale = scale * table.column(target.times) * unit
+    if (kps or kds) and np.ptp(scale):
+        problem = "is not known, and the supply that it is a share of changes"
+        raise BadInput(f"{where}, kp", problem, "give one number for each gain")
+    if kps or kds:  # parameters are gains of a torque
+        to_side, limit, scale = to_side * scale[0], limit * scale[0], np.ones(goal.shape)
     kp, kd = kp * to_side, kd * to_side
+    ranges = {"kp": kps, "kd": kds}
+    unknown = {
+        n: (low * to_side, high * to_side) for n, r in ranges.items() if r for low, high in [r]
+    }
+    kd = 0.0 if kds else kd
     # no drive holds a mean over the sample
     held = target.held and target.sampled == "instant"
     towards = target.value or f"column '{target.column}'"
     step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""
-    return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step
+    lags = target.loop, target.velocity_filter
+    law = Law(kp * goal, scale, kp, kd, limit, back_emf, None, held, unknown, *lags)
+    return law, gives, step
 
 
 def _motor(
@@ -579,6 +591,27 @@ def _motor(
     formula = f"kt V/R - kt^2 (motor speed)/R with kt = {channel.torque_constant}, "
     formula += f"R = {channel.resistance}"
     return constant / resistance, constant**2 * drive.ratio / resistance, formula
+
+
+def _gains(
+    text: str | list[str] | None, per: units.Kind, kinds: Sequence[units.Kind], where: str
+) -> tuple[tuple[units.Kind, float], tuple[float, float] | None]:
+    """Read a gain that is positive, and its range if it is not known; then it is the upper end."""
+    if text is None:
+        return (kinds[0], 1.0), (0.0, np.inf)
+    parts = [text] if isinstance(text, str) else text
+    read = [_gain(part, per, kinds, where) for part in parts]
+    for (_, value), part in zip(read, parts, strict=True):
+        if value < 0.0:
+            raise BadInput(
+                where, f"'{part}' is negative, and drives the joint away", "turn its sign"
+            )
+    if isinstance(text, str):
+        return read[0], None
+    (kind, low), (other, high) = read if len(read) == 2 else ((kinds[0], 0.0), (kinds[0], 0.0))
+    if kind != other or not low < high:
+        raise BadInput(where, f"{list(text)} is no range", "give two gains of one unit that rise")
+    return (kind, high), (low, high)
 
 
 def _gain(
@@ -609,6 +642,8 @@ def _law_step(law: Law, position: Array, speed: Array, *, measured: bool) -> str
     if np.isfinite(law.limit):
         share = float(np.mean(law.limited(position, speed)))
         step += f"; at its limit in {100 * share:.2g} % of the samples"
+    if law.closed and None in (law.loop, law.velocity_filter):
+        step += "; loop or velocity_filter is not given: up to 1 ms, in viscous loss and inertia"
     return step + "; what that back-EMF is off by counts as viscous loss" * bool(law.back_emf)
 
 
