@@ -92,7 +92,7 @@ class FittedJoint:
         return {title: next(iter(self.number_rows(keys[title])), None) for title in COLUMNS}
 
     def numbers(self) -> dict[str, float]:
-        """Reported numbers by key, SI, referred to the joint."""
+        """Return reported numbers by key, SI, referred to the joint."""
         rows = {key: [row.value for row in self.number_rows(key)] for key in NUMBERS}
         return {key: float(np.mean(values)) for key, values in rows.items() if values}
 

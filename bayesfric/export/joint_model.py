@@ -119,12 +119,17 @@ def motor_unit(joint: Joint) -> str:
     return "N m" if joint.motor_motion == "rotary" else "N"
 
 
+def unit_of(number: tuple[str, str, str], joint: Joint) -> str:
+    """Name the unit of a row of :data:`NUMBERS` for a joint."""
+    return number[joint.load.motion != "rotary"].format(motor_unit(joint))
+
+
 def of_recording(p: Parameter) -> bool:
     """Whether it is a property of recordings: a delay, or the separate offset of one."""
     return p.quantity == "delay" or (p.owner == "" and p.name != "offset")
 
 
-def _number_of(p: Parameter) -> str:
+def number_of(p: Parameter) -> str:
     """Name the number that a parameter is part of, exactly; empty for none."""
     quantity = "" if p.owner in ("", "load", "drive") else p.quantity
     return _NUMBER_OF.get(p.name, _NUMBER_OF.get(quantity, ""))
@@ -142,7 +147,7 @@ def exact_numbers(joint: Joint, values: Array) -> Numbers:
     owners = [element.name for element in joint.elements]
     numbers["gain"] += joint.ratio / passed[:, 0]
     for p in joint.parameters:
-        number, amount = _number_of(p), column[p.name]
+        number, amount = number_of(p), column[p.name]
         if number == "gain":
             numbers[number] *= amount
         elif number == "torque_offset":
@@ -172,12 +177,11 @@ def simulator_numbers(
         missing = numbers["gain"][:, None] * (law - simulated_torque(joint, numbers, motions))
         basis = np.stack([LOSSES[name](qd) for name in losses], axis=1)
         amounts = np.stack([numbers[name] for name in losses], axis=1)
-        fitted = amounts + missing @ np.linalg.pinv(basis).T
-        for k in np.flatnonzero((fitted < 0.0).any(axis=1)):
-            fitted[k] = nonnegative_fit(basis, missing[k] + basis @ amounts[k])
-        # what rounding leaves of an exact law is no loss
+        fitted = nonnegative_fit(basis, missing + amounts @ basis.T)
+        # an exact law leaves rounding only
+        change = np.abs(fitted - amounts) * np.abs(basis).max(axis=0)
         size = 1e-12 * numbers["gain"] * np.abs(law).max(axis=1, initial=0.0)
-        fitted[fitted * np.abs(basis).max(axis=0) <= size[:, None]] = 0.0
+        fitted = np.where(change <= size[:, None], amounts, fitted)
         numbers |= dict(zip(losses, fitted.T, strict=True))
     # armature goes into a link, and a spring that stiffens into the line nearest to it
     slope = float(q @ q**3) / (float(q @ q) or 1.0)
@@ -193,10 +197,10 @@ def simulator_numbers(
     return numbers
 
 
-def nonnegative_fit(columns: Array, torque: Array) -> Array:
-    """Fit coefficients of zero or more, ``(k,)``, of columns ``(M, k)`` to a torque ``(M,)``."""
+def nonnegative_fit(columns: Array, torques: Array) -> Array:
+    """Fit coefficients of zero or more, ``(n, k)``, of columns ``(M, k)`` to torques ``(n, M)``."""
     q, r = np.linalg.qr(columns)
-    return np.asarray(nnls(r, q.T @ torque)[0])
+    return np.array([nnls(r, projected)[0] for projected in torques @ q])
 
 
 def undelayed(joint: Joint, values: Array) -> Array:
@@ -235,5 +239,5 @@ def simulated_torque(joint: Joint, numbers: Numbers, motions: Sequence[Trajector
         offset=True,
         gain=True,
     )
-    columns = [numbers[_number_of(p)] for p in plain.parameters]
+    columns = [numbers[number_of(p)] for p in plain.parameters]
     return torque_along(plain, np.stack(columns, axis=1), motions)

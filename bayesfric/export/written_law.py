@@ -1,7 +1,7 @@
 """The law of a joint, its inverse model, as statements of C or Python.
 
-No term is written twice. The compiled kernels' own code runs with names in place of numbers:
-what they assign becomes a statement of the same name. A column of the table of quantities, a
+No term is written twice. The compiled kernels' own code runs with names in place of numbers, and
+gives a statement for each element. A column of the table of quantities, a
 function of a :class:`~bayesfric.mechanism.quantities.State` in NumPy's functions, gives its own
 formula when it is called with a state that only remembers what is done to it. Formulas are of both
 languages, but for ``sign`` and ``where``, which the files define.
@@ -12,9 +12,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-from collections import Counter
 from functools import cache
-from types import CodeType
 from typing import Any, Literal
 
 import numpy as np
@@ -47,8 +45,7 @@ _WRITTEN = {
     "arctan": "atan({})",
     "where": "where({}, {}, {})",
     "sign": "sign({})",
-} | {x: f"{x}({{}})" for x in "sqrt exp expm1 log log1p sin cos tan tanh".split()}
-_NAME = r"(?<![\w.])[a-z_]\w*(?!\w*\()"  # of a variable
+} | {x: f"{x}({{}})" for x in ["sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh"]}
 _NUMBER = r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?"
 
 
@@ -106,14 +103,8 @@ def _where(test: Any, yes: Any, no: Any) -> Any:
     return yes if _formula(yes) == _formula(no) else _operation("where", test, yes, no)
 
 
-class _Recorder(ast.NodeTransformer):
-    """Rewrite assignments to ``put(name, value)`` and choices to ``where(...)``."""
-
-    def visit_Assign(self, node: ast.Assign) -> ast.Assign:
-        self.generic_visit(node)
-        names = ast.Constant(ast.unparse(node.targets[0]).strip("()"))
-        node.value = ast.Call(ast.Name("put", ast.Load()), [names, node.value], [])
-        return node
+class _Choices(ast.NodeTransformer):
+    """Rewrite choices, ``a if test else b``, to ``where(test, a, b)``."""
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.Call:
         self.generic_visit(node)
@@ -122,14 +113,16 @@ class _Recorder(ast.NodeTransformer):
 
 
 @cache
-def _code() -> CodeType:
-    """Compile the source of the kernels, undecorated, to run with names in place of numbers."""
+def _kernels() -> dict[str, Any]:
+    """Run the source of the kernels, undecorated, so that it takes names in place of numbers."""
     body = ast.parse(inspect.getsource(kernels)).body
     functions = [node for node in body if isinstance(node, ast.FunctionDef)]
     for function in functions:
         function.decorator_list.clear()
-    module = _Recorder().visit(ast.Module([*functions], []))
-    return compile(ast.fix_missing_locations(module), kernels.__file__, "exec")
+    module = ast.fix_missing_locations(_Choices().visit(ast.Module([*functions], [])))
+    run = {**vars(kernels), "where": _where, "math": np, "float": lambda x: x}
+    exec(compile(module, kernels.__file__, "exec"), run)
+    return run
 
 
 def statements(joint: Joint, vector: Array) -> Statements:
@@ -137,68 +130,49 @@ def statements(joint: Joint, vector: Array) -> Statements:
 
     It starts from ``q``, ``v``, ``a`` and ``s``, at 20 degC and time zero, without a delay.
     """
+    run, custom = _kernels(), [term.name for term in joint.terms]
     lines: Statements = []
-    uses = Counter("qvas")
-
-    def put(name: str, value: Any) -> Any:
-        """Assign a formula to a name, numbered where that is used already."""
-        if isinstance(value, tuple):
-            return tuple(map(put, name.split(", "), value))
-        if not isinstance(value, Traced) or re.fullmatch(_NAME, value.formula):
-            return value
-        for known, formula in lines:
-            if formula == value.formula:
-                return Traced(known)
-        uses[name] += 1
-        name += str(uses[name]) if uses[name] > 1 else ""
-        lines.append((name, value.formula))
-        return Traced(name)
-
-    def state(reach: float) -> State:
-        """State at ``reach`` times the speed of the joint, at time zero."""
-        names = {"position": "q", "speed": "v", "acceleration": "a"}
-        moving = [put(name, reach * Traced(x)) for name, x in names.items()]
-        return State(*moving, Traced("s"), 0.0)
+    (elements,), (load,), _ = joint.tables(vector[None])
+    q, v, a, s = map(Traced, "qvas")
 
     def carried(place: int, at: State) -> Any:
         """Sum up the terms without a slot at one place, but for those with a signal."""
         total: Any = 0.0
         for term in joint.carried:
             if term.place == place and not term.row.signal:
+                name = joint.names[term.index]
                 shape = vector[[term.shape]] if term.shape >= 0 else ()
                 try:
+                    if name in custom and "time" in str(formula_of(term.row)):
+                        raise Unwritten(name)
                     total = total + vector[term.index] * _torque_of(term.row, at, *shape)
                 except Unwritten:
-                    raise Unwritten(joint.names[term.index]) from None
+                    raise Unwritten(name) from None
         return total
 
-    run: dict[str, Any] = dict(vars(kernels))
-    run |= {"put": put, "where": _where, "math": np, "float": lambda x: x}
-    exec(_code(), run)
-    (elements,), (load,), _ = joint.tables(vector[None])
-    q, at = Traced("q"), state(1.0)
-    lines.append(("", "load"))
+    def put(torque: Any, name: str, comment: str = "") -> Any:
+        formula = str(_formula(torque))
+        lines.extend([("", comment)] * bool(comment))
+        if formula.isidentifier() and name != "measured":
+            return torque
+        lines.append((name, formula))
+        return Traced(name)
+
     weight = run["gravity_torque"](load, np.sin(q), np.cos(q))
-    torque = load[kernels.LOAD_INERTIA] * at.acceleration + weight
-    torque = put("torque", torque + carried(len(elements), at))
+    torque = (
+        load[kernels.LOAD_INERTIA] * a + weight + carried(len(elements), State(q, v, a, s, 0.0))
+    )
+    torque = put(torque, "torque", "load")
     for k in range(len(elements) - 1, -1, -1):
         element, name = elements[k], joint.elements[k].name
-        lines.append(("", name))
-        at = state(joint.reaches[name])
-        torque = put("torque", torque / element[kernels.RATIO])
+        reach = joint.reaches[name]
+        at = State(reach * q, reach * v, reach * a, s, 0.0)
+        torque = put(torque / element[kernels.RATIO], f"output_{k}", name)
         risen = run["rises"](element, at.speed)
-        moving = at.direction, at.speed, at.acceleration
-        torque = run["element_torque"](element, torque, *moving, risen)
-        torque = put("torque", torque + carried(k, at))
-    measured = (torque + load[kernels.OFFSET]) / load[kernels.GAIN]
-    lines += [("", "as measured"), ("measured", str(_formula(measured)))]
-    # compilers warn of statements that do not lead to the result
-    used, wanted = [], {"measured"}
-    for name, formula in reversed(lines):
-        if not name or name in wanted:
-            used.append((name, formula))
-            wanted |= {*re.findall(_NAME, formula)} if name else set()
-    return used[::-1]
+        passed = run["element_torque"](element, torque, s, at.speed, at.acceleration, risen)
+        torque = put(passed + carried(k, at), f"input_{k}")
+    put((torque + load[kernels.OFFSET]) / load[kernels.GAIN], "measured", "as measured")
+    return lines
 
 
 def _torque_of(row: Quantity, at: State, *shape: Any) -> Any:
@@ -226,29 +200,26 @@ def _text(formula: str, language: Language) -> str:
     return re.sub(r"\b(?!sign|where|max|min)(\w+)\(", r"math.\1(", text)
 
 
-def unwritten(joint: Joint) -> str | None:
-    """Name a term that has no formula or depends on time; ``None`` where there is none."""
-    try:
-        statements(joint, np.ones(len(joint.names)))
-    except Unwritten as error:
-        return str(error)
-    of_time = (x.name for x in joint.terms if "time" in re.findall(_NAME, str(formula_of(x.row))))
-    return next(of_time, None)
-
-
-def law(joint: Joint, vector: Array, language: Language) -> dict[str, Any]:
+def law(
+    joint: Joint, vector: Array, language: Language, *, required: bool = True
+) -> dict[str, Any] | None:
     """Write the law of a joint at one parameter vector ``(d,)``.
 
     The ``full`` one, the ``ideal`` one without losses and cogging, and the ``offset``, torque at
-    standstill without load and losses.
+    standstill without load and losses. ``None`` of a law without a formula that is not required.
     """
-    if (name := unwritten(joint)) is not None:
-        problem = "is a custom term, of time or with functions that the export does not support"
-        raise BadInput(name, problem, "export another format, or leave the term out")
     load = joint.tables(vector[None]).load[0]
     ideal = [p.row.stores or p.row.circular or p.owner in ("", "drive") for p in joint.parameters]
     laws = {"full": vector, "ideal": np.where(ideal, vector, 0.0)}
-    return {"offset": repr(float(load[kernels.OFFSET] / load[kernels.GAIN]))} | {
-        part: [(x, _text(f, language) if x else f) for x, f in statements(joint, values)]
-        for part, values in laws.items()
-    }
+    try:
+        parts = {
+            part: [(x, _text(f, language) if x else f) for x, f in statements(joint, values)]
+            for part, values in laws.items()
+        }
+    except Unwritten as error:
+        if not required:
+            return None
+        problem = "is a custom term, of time or with functions that the export does not support"
+        hint = "export another format, or leave the term out"
+        raise BadInput(str(error), problem, hint) from None
+    return {"offset": repr(float(load[kernels.OFFSET] / load[kernels.GAIN])), **parts}
