@@ -1,22 +1,24 @@
-"""A log of an arm: which column belongs to which joint, and the motion of all joints."""
+"""A log of an arm: the rows in which all joints have values, and their motion."""
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
-from bayesfric.arm.arm_options import ArmOptions, JointOptions
+from bayesfric.arm.arm_columns import Joints, Layout
+from bayesfric.arm.arm_options import ArmOptions, Coupling
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import derivative, lowpass_above, reach_of
+from bayesfric.recordings.filters import WIDEST, derivative, interpolated
 from bayesfric.recordings.measurement import Measurement, spread_ranges
 from bayesfric.recordings.read import (
     Drive,
@@ -27,61 +29,13 @@ from bayesfric.recordings.read import (
     read_recordings,
 )
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.recognition import named, recognise
-from bayesfric.recordings.signals import filtered_motion
-from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source, Torque
+from bayesfric.recordings.signals import choose_filters, filtered_motion
+from bayesfric.recordings.source import CHANNELS, SI, Columns, Position, Recording, Source, Torque
 from bayesfric.recordings.tables import Table
-from bayesfric.recordings.units import OPEN
 
 _URDF_TORQUE, _STAMPS = "urdf_torque", "stamps in s"
-Joints = Mapping[str, UrdfJoint]
-# Columns of a log with {joint} for a joint's label, and the label of each joint.
-Layout = tuple[Mapping[str, Any], Mapping[str, str]]
-
-
-def layout_of(
-    path: Path, joints: Joints, layout: Mapping[str, Any], *, in_order: bool = False
-) -> Layout:
-    """Recognise the columns of a log's joints by the names of the URDF's joints.
-
-    With ``in_order`` as many joints of other names are matched in the URDF's order.
-    """
-
-    def joint_in(name: str) -> str:
-        """Return the part of a column's name that identifies its joint."""
-        return named(f"{name} position").joint or name
-
-    opened = read_table(path, TableOptions.model_validate(layout))
-    log = recognise(opened)
-    label_of = {joint_in(label): label for label in log.joints or [log.joint]}
-    labels = {name: label_of[joint_in(name)] for name in joints if joint_in(name) in label_of}
-    if not labels and in_order and len(label_of) == len(joints):
-        labels = dict(zip(joints, label_of.values(), strict=True))
-    if not labels:
-        in_log = ", ".join(filter(None, label_of.values())) or "none"
-        problem = f"joints of the log ({in_log}) are not those of the URDF ({', '.join(joints)})"
-        hint = "match them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
-        raise BadInput(str(path), problem, hint)
-    first, tokens = dict[str, dict[str, str]](), dict[str, str]()
-    for name, label in labels.items():
-        chosen = recognise(opened, label).chosen
-        chosen.pop("temperature", None)
-        columns = [column for key, (column, _) in chosen.items() if key != "time"]
-        candidates = (name, label, "_".join(label.split()))
-        token = next((t for t in candidates if t and all(t in column for column in columns)), "")
-        tokens[name] = token
-        pattern = {
-            k: {"column": column, "unit": unit or OPEN} for k, (column, unit) in chosen.items()
-        }
-        for key in pattern.keys() - {"time"} if token else ():
-            pattern[key]["column"] = pattern[key]["column"].replace(token, "{joint}")
-        if "current" in pattern:
-            pattern["current"]["torque_constant"] = "{torque_constant}"
-        first = first or pattern
-        if not token or pattern != first:
-            problem = f"columns of joint {name!r} ({', '.join(columns)}) do not match other joints'"
-            raise BadInput(str(path), problem, "write [recording] in arm.toml, with {joint}")
-    return {**first, **layout, **({"where": log.where} if log.where else {})}, tokens
+# Most rows in memory over those to fit, where averages are fitted.
+_ROWS = 10.0
 
 
 class ArmLog:
@@ -89,8 +43,8 @@ class ArmLog:
 
     ``sources`` holds the meaning of the columns by joint, ``loaded`` whether the payload is on,
     ``time`` ``(n,)`` s, ``motion`` ``(3, n_joints, n)`` position, speed and acceleration in the
-    URDF's order. The motion is low-passed as widely as any joint's fit may be: each fit filters the
-    rigid-body torque as it filters the measured one.
+    URDF's order, at the rate that the fastest motion needs. Each joint's is low-passed by what its
+    positions resolve, as in a fit of it, which filters torques of bodies and drive alike.
     """
 
     def __init__(
@@ -104,38 +58,33 @@ class ArmLog:
     ) -> None:
         self.path, self.name, self._processing = path, name, options.processing
         self.loaded = options.payload.logs is None or name in options.payload.logs
-        recording, labels = layout
         self.sources: dict[str, Columns] = {}
-        for number, joint_name in enumerate(joints, start=1):
-            joint_options = options.joints.get(joint_name, JointOptions())
-            if joint_options.held is not None:
-                continue
-            placeholders = {
-                "joint": joint_options.label or labels.get(joint_name, joint_name),
-                "number": str(number),
-                "index": str(number - 1),
-                "torque_constant": joint_options.torque_constant,
-            }
-            document = {**recording, "file": str(path), "name": name}
-            self.sources[joint_name] = _source(document, joint_name, placeholders)
-        if not self.sources:
-            raise BadInput(str(path), "all joints are held", "leave out the held of one that moves")
+        for joint_name, recording in layout.items():
+            self.sources[joint_name] = _source({**recording, "file": str(path), "name": name})
         keys = {key: recording[key] for key in TableOptions.model_fields if key in recording}
-        self._open(read_table(path, TableOptions.model_validate(keys)), joints, max_samples)
+        every = self._open(read_table(path, TableOptions.model_validate(keys)), joints)
         held = {name: x.held for name, x in options.joints.items() if x.held is not None}
-        motions = [held[n] if n in held else self._joint_motion(x) for n, x in joints.items()]
-        moving = [motion for motion in motions if isinstance(motion, Measurement)]
-        if not moving:
-            raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
-        self.time, fs = moving[0].time, 1.0 / moving[0].period
-        lowpass, order = options.processing.lowpass, options.processing.order
-        cutoff = lowpass_above(fs, fs) if lowpass is None else lowpass
-        reach = reach_of(options.processing.differentiation, cutoff, fs)
-        self.motion = np.zeros((3, len(motions), self.time.size))
+        every = (self._of_motors(every[0], joints, options.coupling, held), *every[1:])
+        processing, self._needed_rate, most = options.processing, math.inf, max_samples
+        while True:  # until the rate is what the motion needs
+            self._keep(every, most)
+            motions = [held[n] if n in held else self._joint_motion(x) for n, x in joints.items()]
+            moving = [motion for motion in motions if isinstance(motion, Measurement)]
+            if not moving:
+                raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
+            filters = [choose_filters(motion, processing) for motion in moving]
+            rate = max(x.resolution.band for x in filters) / WIDEST
+            faster = min(1.0 / moving[0].period, self._needed_rate) / rate
+            if faster < 2.0 or not processing.chooses_band:
+                break
+            self._needed_rate, most = rate, int(max_samples * min(faster, _ROWS))
+        self.time = moving[0].time
+        self.motion, filter_of = np.zeros((3, len(motions), self.time.size)), iter(filters)
         for k, motion in enumerate(motions):
             if isinstance(motion, Measurement):
-                q, qd = filtered_motion(motion, cutoff, order, reach)
-                qdd = derivative(qd, motion.segments, motion.period, reach)
+                own = next(filter_of)
+                q, qd = filtered_motion(motion, own.cutoff, processing.order, own.reach)
+                qdd = derivative(qd, motion.segments, motion.period, own.reach)
                 self.motion[:, k] = q, qd, qdd
             else:
                 self.motion[0, k] = motion
@@ -144,6 +93,11 @@ class ArmLog:
     def fitted(self) -> int:
         """Number of rows that are kept; ``rows`` is that of the file."""
         return self._stamps.size
+
+    @property
+    def period(self) -> float:
+        """Median time from row to row, s."""
+        return float(np.median(np.diff(self._stamps)))
 
     def measured(self, joint: UrdfJoint) -> Measurement:
         """Read a joint with its effort."""
@@ -156,34 +110,61 @@ class ArmLog:
         """
         names = [_URDF_TORQUE, *signals(len(torques) - 1)]
         pairs = zip(names, torques, strict=True)
-        computed = {name: np.interp(self._stamps, self.time, x) for name, x in pairs}
+        computed = {name: interpolated(self.time, x, self._stamps) for name, x in pairs}
         return self._columns(self.sources[joint.name], computed)
 
-    def _open(self, table: Table, joints: Joints, max_samples: int) -> None:
-        """Read all joints' columns, at the rows in which each has a value.
-
-        Of more than ``max_samples`` rows some are kept, as segments all over the log.
-        """
+    def _open(self, table: Table, joints: Joints) -> tuple[Table, Array, tuple[int, int]]:
+        """Read all joints' columns at the rows in which each has a value, and which are chosen."""
         columns = list[str | int]()
+        drives = {name: Drive(1.0, x.motion, x.motion) for name, x in joints.items()}
         for name, source in self.sources.items():
-            drive = Drive(1.0, joints[name].motion, joints[name].motion)
             self._position(source, joints[name], table)
             with suppress(BadInput):  # a drive that is missing is refused with its joint
-                self.sources[name], table = decoded(source, table, drive)
+                self.sources[name], table = decoded(source, table, drives[name])
             for column in source.columns:
                 with suppress(BadInput):
                     columns += [] if table.holes(column).all() else [column]
-        source, *_ = self.sources.values()
+        name, source = next(iter(self.sources.items()))
         other_channels = dict.fromkeys(set(CHANNELS) - {"time", "position"})
         source = source.model_copy(update={**other_channels, "others": tuple(columns)})
-        _, table, self._stamps = aligned(source, table, drive)
+        _, table, stamps = aligned(source, table, drives[name])
         cells = {_name(column): table.column(column) for column in columns}
-        names, self.rows = list(cells), self._stamps.size
-        self.table = Table(str(self.path), names, lambda i: cells[names[i]], notes=table.notes)
-        first, last = chosen_rows(source, self._stamps, self.table.where)
-        if last - first > max_samples:
+        names, self.rows = list(cells), stamps.size
+        table = Table(str(self.path), names, lambda i: cells[names[i]], notes=table.notes)
+        return table, stamps, chosen_rows(source, stamps, table.where)
+
+    def _of_motors(
+        self, table: Table, joints: Joints, coupling: Coupling, held: Mapping[str, float]
+    ) -> Table:
+        """Compute the positions of the motors of coupled joints, in place of those of joints."""
+        if not coupling.joints:
+            return table
+        cells = {name: table.column(name) for name in table.names}
+        positions = np.zeros((len(coupling.joints), next(iter(cells.values())).size))
+        for q, name in zip(positions, coupling.joints, strict=True):
+            q[:] = held.get(name, 0.0)
+            if name in self.sources:
+                drive = Drive(1.0, joints[name].motion, joints[name].motion)
+                q[:] = joint_signal(_of_table(self.sources[name]), "position", table, drive)[0]
+        motors = np.array(coupling.matrix) @ positions
+        for position, name in zip(motors, coupling.joints, strict=True):
+            if name in self.sources:
+                column = f"position of the motor of {name}"
+                cells[column] = position
+                update = {"position": Position(column=column, unit=SI), "velocity": None}
+                self.sources[name] = self.sources[name].model_copy(update=update)
+            elif np.ptp(position) > 0.0:
+                hint = "couple joints of the log only"
+                raise BadInput(f"joints.{name}.held", "its motor moves with another", hint)
+        names = [*cells]
+        return Table(table.where, names, lambda i: cells[names[i]], notes=table.notes)
+
+    def _keep(self, every: tuple[Table, Array, tuple[int, int]], most: int) -> None:
+        """Keep the chosen rows; of more than ``most`` some, as segments all over the log."""
+        self.table, self._stamps, (first, last) = every
+        if last - first > most:
             # start and stop count from the first row
-            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, max_samples)]
+            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, most)]
             rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
             self.table, self._stamps = self.table.at(rows, self.rows), self._stamps[rows]
 
@@ -199,17 +180,16 @@ class ArmLog:
     def _joint_motion(self, joint: UrdfJoint) -> Measurement | float:
         """Read the motion of a joint, or its constant position."""
         source, column = self.sources[joint.name], "in place of a torque"
-        assert source.position is not None
-        channel = source.position.model_copy(update={"column": _name(source.position.column)})
         drive = Drive(1.0, joint.motion, joint.motion)
-        position = joint_signal(channel, "position", self.table, drive)[0]
+        position = joint_signal(_of_table(source), "position", self.table, drive)[0]
         if np.ptp(position) == 0.0:
             return float(position[0])
         # the motion does not depend on the drive, which may be missing
         no_drive = dict.fromkeys(("current", "voltage", "target"))
         motion_only = {**no_drive, "torque": Torque(column=column, unit=SI)}
-        columns = self._columns(source.model_copy(update=motion_only), {column: position})
-        return self._read(columns, joint)
+        columns = self._columns(source.model_copy(update=motion_only), {column: self._stamps})
+        motion = self._read(columns, joint)
+        return replace(motion, torque=np.zeros_like(motion.torque))
 
     def _read(self, recording: Recording, joint: UrdfJoint) -> Measurement:
         motion = joint.motion
@@ -235,7 +215,8 @@ class ArmLog:
         keys["time"] = {"column": _STAMPS, "unit": "s"}
         names, notes = list(cells), self.table.notes
         table = Table(str(self.path), names, lambda i: cells[names[i]], notes=notes)
-        return Recording(Columns.model_validate(keys), table=table)
+        columns = Columns.model_validate(keys)
+        return Recording(columns, table=table, needed_rate=self._needed_rate)
 
 
 def signals(count: int) -> list[str]:
@@ -247,17 +228,14 @@ def _name(key: str | int) -> str:
     return key if isinstance(key, str) else f"column {key}"
 
 
-def _source(
-    recording: Mapping[str, Any], joint: str, placeholders: Mapping[str, str | None]
-) -> Source:
-    """Fill the placeholders in the texts of ``recording`` for one joint."""
-    text = json.dumps(recording, default=str)
-    for key, value in placeholders.items():
-        if value is None and f"{{{key}}}" in text:
-            hint = "write its drive gain, such as '13.6 N m/A'"
-            raise BadInput(f"joints.{joint}.{key}", "is missing", hint)
-        text = text.replace(f"{{{key}}}", json.dumps(value)[1:-1])
-    document = json.loads(text)
+def _of_table(source: Columns) -> Position:
+    """Return the position's channel with the name that its column has in a log's table."""
+    assert source.position is not None
+    return source.position.model_copy(update={"column": _name(source.position.column)})
+
+
+def _source(document: Mapping[str, Any]) -> Source:
+    """Check the keys of one joint's columns."""
     try:
         return Source.model_validate(document)
     except ValidationError as error:

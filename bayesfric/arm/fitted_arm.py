@@ -11,13 +11,14 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
@@ -34,12 +35,12 @@ from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.posterior import Posterior, predict_held_out
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.arrays import Array, rms
-from bayesfric.report.numbers import TEXT
+from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.pages import render
 from bayesfric.report.summary.derived_quantities import leaning, spread
 from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import PosteriorRow
-from bayesfric.report.terminal import printed_row
+from bayesfric.report.terminal import FINDINGS, aligned, messages_of, printed_row, wrapped
 from bayesfric.report.words import filled
 
 COLUMNS = [number.title for number in NUMBERS.values() if number.title]  # of the table
@@ -57,6 +58,8 @@ class FittedJoint:
     result: Result | None = None
     failure: str = ""
     remarks: tuple[str, ...] = ()
+    is_coupled: bool = False  # by its data, while no option says so
+    is_loaded: bool = True  # whether the log resolves its rigid-body torque
     # torque_rms of the bodies on this motion, N m or N, and doubt_rms, the prior sd of that
     urdf: Mapping[str, float] = field(default_factory=dict)
     # by all joints: numbers, predictions of held-out logs, and the p-value under the other joints
@@ -211,6 +214,21 @@ class FittedJoint:
             rows[name] = updated.model_copy(update={"reported": conclusion})
         return rows
 
+    @property
+    def messages(self) -> list[str]:
+        """What to know of the joint before its numbers are used, the worst first."""
+        if self.result is None:
+            return [f"not fitted: {self.failure}", *self.remarks]
+        lines = [*self.remarks]
+        if not self.agrees:
+            p = p_text(self.p_value)
+            lines.append(f"excluded: contradicts the others about inertial parameters ({p})")
+        lines += [f"added: {term.text}" for term in self.result.summary.taken]
+        of_fit = (x for x in messages_of(self.result.summary) if x.kind != "held out")
+        briefs = list(dict.fromkeys(message.brief for message in of_fit if message.brief))
+        more = len(briefs) - FINDINGS
+        return lines + briefs[:FINDINGS] + [f"further findings: {more}, in its report"] * (more > 0)
+
     def as_json(self) -> dict[str, Any]:
         """Give its numbers."""
         checks: dict[str, Any] = {"remarks": [*self.remarks], "urdf": dict(self.urdf)}
@@ -230,6 +248,7 @@ class FittedJoint:
             },
             "added": [term.kind for term in summary.taken],
             "findings": [finding.kind for finding in summary.findings],
+            "messages": self.messages,
             "apart": self.p_value,
             "validation": self.validation,
             **checks,
@@ -245,7 +264,8 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
     consistency: JointConsistency
-    assumed: str = ""  # about units that the log does not have
+    assumed: str = ""  # about columns and units that the log does not name
+    late: ArmDelay | None = None  # of the efforts; None where it is known
 
     @classmethod
     def combined(
@@ -256,6 +276,7 @@ class FittedArm:
         prior: InertialPrior,
         seed: int | None,
         assumed: str = "",
+        late: ArmDelay | None = None,
     ) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
         rng, updated = np.random.default_rng(seed), dict(joints)
@@ -264,7 +285,7 @@ class FittedArm:
         consistency = combine_joints(prior, likelihoods, rng)
         for name, joint in fitted.items():
             updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, assumed)
+        return cls(bodies, (*logs,), updated, prior, consistency, assumed, late)
 
     @property
     def urdf(self) -> Path:
@@ -325,13 +346,20 @@ class FittedArm:
 
     @property
     def messages(self) -> list[str]:
-        """Messages below the table, a line each."""
-        return filled("arm.txt.j2", arm=self, unlikely=UNLIKELY).splitlines()
+        """Messages below the table: bodies, predictions, and what each joint warns of."""
+        of_joints: dict[str, list[str]] = {}
+        for name, joint in self.joints.items():
+            for text in joint.messages:
+                of_joints.setdefault(text, []).append(name)
+        return filled("arm.txt.j2", arm=self, unlikely=UNLIKELY, of_joints=of_joints).splitlines()
 
     @property
     def reliable(self) -> bool:
-        """Whether every sampling has converged."""
-        return all(x.fitted.summary.sampler.status == "reliable" for x in self.fitted.values())
+        """Whether no joint warns of its numbers, as one that contradicts the others does."""
+        return all(
+            x.agrees and not x.is_coupled and x.fitted.summary.sampler.status == "reliable"
+            for x in self.fitted.values()
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Give the content of ``arm.json``."""
@@ -341,23 +369,29 @@ class FittedArm:
             "logs": [str(log.path) for log in self.logs],
             "assumed": self.assumed,
             "samples": self.samples,
+            "delay": self.late and asdict(self.late),
             "bodies": self.inertial_estimate,
             "joints": {name: joint.as_json() for name, joint in self.joints.items()},
         }
 
-    def text(self, *, height: int = 28) -> list[str]:
-        """Lay out the table for a terminal, with the messages below it, in so many lines."""
-        rows: list[tuple[str, ...]] = [("", *COLUMNS)]
+    def text(self) -> list[str]:
+        """Lay out the numbers as those of a fit are, with the messages below, for a terminal."""
+        level = next(iter(self.fitted.values())).fitted.summary.level
+        table: list[tuple[str, ...]]
+        table = [("", "value", "sd", f"{100 * level:g} % interval", "", "status")]
+        unidentified = list[str]()
         for name, joint in self.fitted.items():
-            cells = [_cell(row) for row in joint.cells.values()]
-            rows += [(name, *(c[0] for c in cells)), ("", *(c[1] for c in cells))]
-        widths = [2 + max(map(len, column)) for column in zip(*rows, strict=True)]
-        table = ["".join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
-        messages, limit = self.messages, max(height - len(table), 1)
-        if hidden := max(len(messages) - limit, 0):
-            messages = [*messages[: limit - 1], f"and {hidden + 1} lines more in arm.html"]
-        first = [self.assumed] if self.assumed else []
-        return [line.rstrip() for line in (*first, *table, *messages)]
+            for title, row in joint.cells.items():
+                unloaded = title == NUMBERS["load"].title and not joint.is_loaded
+                if unloaded or (row is not None and row.reported.status == "unidentified"):
+                    unidentified.append(f"{name} {title}")
+                elif row is not None:
+                    table.append(printed_row(f"{name} {title}", row.reported, row.unit, row.level))
+        lines = ["Unidentified: " + ", ".join(unidentified)] if unidentified else []
+        for line in self.messages:
+            lines += wrapped(line, indent=2)
+        assumed = wrapped(self.assumed, indent=2) if self.assumed else []
+        return [*assumed, *aligned(table), *lines]
 
     def write(self, folder: Path | str, *, full: bool = False) -> Path:
         """Write run directories, ``arm.json`` and the page ``arm.html``, whose path is returned.
@@ -373,8 +407,9 @@ class FittedArm:
         for joint in self.fitted.values():
             joint.fitted.write(folder / joint.folder, draws=None if full else 300)
         record = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
+        columns = [x for x in COLUMNS if any(joint.cells[x] for joint in self.joints.values())]
         page = render(
-            "arm.html.j2", title=folder.name, arm=self, columns=COLUMNS, cell=_cell, full=full,
+            "arm.html.j2", title=folder.name, arm=self, columns=columns, cell=_cell, full=full,
             version=__version__,
         )  # fmt: skip
         files = {"arm.json": f"{record}\n", "arm.html": page}
@@ -384,7 +419,7 @@ class FittedArm:
 
 def _cell(row: PosteriorRow | None) -> tuple[str, str]:
     """Format a number with its status, and its interval with the unit."""
-    if row is None:
-        return TEXT.none, ""
+    if row is None or row.reported.status == "unidentified":
+        return ("" if row is None else "unidentified") or TEXT.none, ""
     _, value, _, interval, unit, status = printed_row("", row.reported, row.unit, row.level)
     return f"{value} {status}".strip(), f"{interval} {unit}".strip()

@@ -19,7 +19,7 @@ import math
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
+from bayesfric.arm.arm_options import Coupling, Payload, Uncertainty, Vector
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.safe_read import read_text
 from bayesfric.estimates.autoregression import long_run_variance
@@ -82,10 +82,11 @@ class Bodies:
     """The rigid bodies of a URDF whose root is fixed.
 
     ``joints`` are those that move and mimic none, by name; ``links`` the names of the bodies.
-    ``gravity`` is in the frame of the root, m/s².
+    ``gravity`` is in the frame of the root, m/s². Motion and torques are those of the joints, or,
+    of joints with a ``coupling``, of their motors.
     """
 
-    def __init__(self, path: Path, gravity: Vector) -> None:
+    def __init__(self, path: Path, gravity: Vector, coupling: Coupling | None = None) -> None:
         all_joints = _joints(path)
         try:
             with warnings.catch_warnings():
@@ -113,12 +114,18 @@ class Bodies:
         # all coordinates of the model are _map @ q + _offset, torques of `joints` _map.T @ torque
         order = list(self.joints)
         self._map, self._offset = np.zeros((len(all_joints), len(order))), np.zeros(len(all_joints))
-        for name, joint in all_joints.items():
+        for name in all_joints:
             at = model.getJoint(model.getJointIndex(name)).getDOFsOffset()
-            source, multiplier, self._offset[at] = joint.mimics or (name, 1.0, 0.0)
-            if source not in order:
-                raise BadInput(str(path), f"{name!r} mimics {source!r}", nearest(source, order))
+            source, multiplier, self._offset[at] = _followed(path, all_joints, name)
             self._map[at, order.index(source)] = multiplier
+        for name in coupling.joints if coupling else ():
+            if name not in order:
+                problem = f"there is no joint {name!r}"
+                raise BadInput("coupling.joints", problem, nearest(name, order))
+        # positions of the motors per positions of the joints, where some are coupled
+        self.motors = coupling.motors(order) if coupling and coupling.joints else None
+        if self.motors is not None:
+            self._map = self._map @ np.linalg.inv(self.motors)
 
     def prior(self, uncertainty: Uncertainty, payload: Payload) -> InertialPrior:
         """Build the prior of the inertial parameters, with the payload."""
@@ -140,7 +147,7 @@ class Bodies:
                     name_of = f"centre of {name}, {axis}"
                     rows.append((name_of, uncertainty.centre, "m", k, mass * change))
         k, centre, mass_sd = self.links.index(link), np.array(payload.centre), payload.mass_sd
-        moment_sd = mass_sd * payload.centre_sd
+        moment_sd = (payload.mass + mass_sd) * payload.centre_sd
         rows.append((f"payload of {link}", mass_sd, "kg", k, _point_mass(centre)))
         for axis, change in _centre_shifts(centre).items():
             rows.append((f"moment of the payload, {axis}", moment_sd, "kg m", k, change))
@@ -432,6 +439,21 @@ def _joints(path: Path) -> dict[str, UrdfJoint]:
     if not joints:
         raise BadInput(str(path), "has no joint that moves", "give the URDF of an arm")
     return joints
+
+
+def _followed(path: Path, joints: Mapping[str, UrdfJoint], name: str) -> tuple[str, float, float]:
+    """Follow a chain of mimics to the joint that moves: its name, multiplier and offset."""
+    source, multiplier, offset = name, 1.0, 0.0
+    for _ in joints:
+        mimics = joints[source].mimics
+        if mimics is None:
+            return source, multiplier, offset
+        source, factor, shift = mimics
+        multiplier, offset = multiplier * factor, offset + multiplier * shift
+        if source not in joints:
+            raise BadInput(str(path), f"{name!r} mimics {source!r}", nearest(source, joints))
+    problem = f"{name!r} mimics joints that mimic each other"
+    raise BadInput(str(path), problem, "let one of them move by itself")
 
 
 def _stderr_of(load: Callable[[], Any]) -> str:

@@ -142,7 +142,7 @@ def _log_configuration(
         f"{channel}.{key}": value
         for channel, keys in channels.items()
         for key, value in keys.items()
-        if OPEN in value
+        if OPEN in str(value)
     }
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
@@ -170,7 +170,7 @@ def _log_configuration(
 
 def _columns(table: Table, log: Log) -> Iterator[dict[str, Any]]:
     """Describe every column: unit, range, holes, what it is taken as, or else why it is not."""
-    channels = {column: (channel, unit) for channel, (column, unit) in log.chosen.items()}
+    channels = {str(column): (channel, unit) for channel, (column, unit) in log.chosen.items()}
     stamped = {clock: name for name, clock in table.clocks.items()}
     for number, name in enumerate(table.names, start=1):
         written = table.units[number - 1] if table.units else ""
@@ -257,15 +257,26 @@ def columns_text(draft: dict[str, Any], limit: int = 40) -> list[str]:
 def _arm_configuration(log: Path, urdf: Path, layout: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``arm.toml``: ``text`` and ``open`` keys."""
     from bayesfric.arm.arm import Arm
-    from bayesfric.arm.arm_log import layout_of
+    from bayesfric.arm.arm_columns import recognised_layout
 
     joints = Arm(urdf).bodies.joints
-    recording, labels = layout_of(log, joints, layout, in_order=True)
-    variables = {"recording": recording, "labels": labels, "joints": list(joints)}
+    columns, notes = recognised_layout(log, joints, layout, in_order=True)
+    blank = {key: {"column": OPEN, "unit": OPEN} for key in ("time", "position", "torque")}
+    present = [name for name in joints if name in columns] or [*joints]
+    documents = [columns.get(name, blank) for name in present]
+    recording: dict[str, Any] = {**layout}
+    for key, channel in documents[0].items():
+        if all(key in document for document in documents):
+            entries = {k: [document[key][k] for document in documents] for k in channel}
+            recording[key] = {k: v[0] if v.count(v[0]) == len(v) else v for k, v in entries.items()}
+    if recording.keys().isdisjoint(("torque", "current", "voltage")):
+        recording["torque"] = blank["torque"]
+    open_keys = {f"recording.{key}": OPEN for key, x in recording.items() if OPEN in str(x)}
+    held = [name for name in joints if name not in present]
+    open_keys |= {f"joints.{name}.held": OPEN for name in held}
+    variables = {"recording": recording, "held": held, "joints": list(joints)}
     text = _template("arm.toml.j2").render(urdf=urdf, log=log, **variables)
-    units = {f"{k}.unit": OPEN for k, v in recording.items() if OPEN in str(v)}
-    held = {f"joints.{name}.held": OPEN for name in joints if name not in labels}
-    return {"text": text, "open": units | held}
+    return {"text": text, "open": open_keys, "notes": notes}
 
 
 def open_text(draft: dict[str, Any]) -> Iterator[str]:
@@ -288,17 +299,19 @@ def _others(preset: str) -> list[str]:
     return sorted({*PRESETS} - {preset}, key=lambda name: (PRESETS[name].chain().ratio, name))
 
 
-def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
+def _channels(log: Log, geared: bool) -> dict[str, dict[str, str | int]]:
     """Return the keys of every channel; torque always, and position if there is no velocity."""
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
-    channels = {}
+    channels = dict[str, dict[str, str | int]]()
     for channel in ("time", "position", "velocity", drive):
         column, unit = log.chosen.get(channel, (OPEN, ""))
         required = channel == drive or (channel == "position" and "velocity" not in log.chosen)
-        if column != OPEN or required:
-            side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
-            keys = {"column": column, "unit": unit or OPEN}
-            channels[channel] = keys | side | _CONSTANTS.get(channel, {})
+        if column != OPEN or required or (channel == "time" and channel in log.chosen):
+            channels[channel] = {"column": column, "unit": unit or OPEN}
+            if geared and channel in ("position", "velocity"):
+                channels[channel]["side"] = "motor"
+            channels[channel] |= dict([log.decoding[channel]]) if channel in log.decoding else {}
+            channels[channel] |= _CONSTANTS.get(channel, {})
     return channels
 
 

@@ -133,7 +133,9 @@ def observe(
     carry, and settings that leave no output, are bad input.
     """
     if recording.steady:
-        processing = Processing(lowpass=0.0, decimate=1, trim=0.0, dead_zone=0.0)
+        processing = Processing(
+            lowpass=0.0, decimate=1, trim=0.0, dead_zone=processing.dead_zone or 0.0
+        )
     filters, (q, qd, compared, still, windows, settings) = _prepare(
         recording, processing, resolution
     )
@@ -223,7 +225,7 @@ def settled(recording: Measurement, processing: Processing) -> Processing:
 
 def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
     """Return the samples of one window, and from one output to the next."""
-    filters = _choose_filters(recording, processing)
+    filters = choose_filters(recording, processing)
     return parallel_length(filters.factor, filters.band, filters.fs), filters.factor
 
 
@@ -266,7 +268,7 @@ def _prepare(
     recording: Measurement, processing: Processing, resolution: Resolution | None = None
 ) -> tuple[_Filters, _Prepared]:
     """Resolve the settings and lay the windows, so that enough of them remain."""
-    filters = _choose_filters(recording, processing, resolution)
+    filters = choose_filters(recording, processing, resolution)
     prepared = _filter_and_lay_windows(recording, processing, filters, SMALL_SHARE)
     *_, windows, settings = prepared
     all_windows = windows.n_outputs + int(settings["dropped_dead_zone"])
@@ -280,7 +282,7 @@ def _prepare(
     return filters, prepared
 
 
-def _choose_filters(
+def choose_filters(
     recording: Measurement,
     processing: Processing,
     resolution: Resolution | None = None,
@@ -334,7 +336,7 @@ def _lower_lowpass(recording: Measurement, processing: Processing, filters: _Fil
     while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
         cutoff = max(cutoff / 1.5, 2.0 * band)
     lower = processing.model_copy(update={"lowpass": cutoff, "decimate": filters.factor})
-    return replace(_choose_filters(recording, lower), resolution=filters.resolution)
+    return replace(choose_filters(recording, lower), resolution=filters.resolution)
 
 
 def _filter_and_lay_windows(
@@ -381,7 +383,8 @@ def _filter_and_lay_windows(
         raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
     if included == 0:
         problem = "what is not compared (excluded, not valid, or held for long) leaves no output"
-        raise BadInput(f"{where}, exclude", problem, "exclude less, or log each answer once")
+        hint = "exclude less; where a drive answers slowly, steady = true takes friction from speed"
+        raise BadInput(f"{where}, exclude", problem, hint)
     windows = lay_windows(taps, parts, filters.factor, moving, share)
     resolution = filters.resolution
     settings: Settings = {
@@ -567,7 +570,7 @@ def _step_sentences(filters: _Filters, recording: Measurement, settings: Setting
             f"{resolution.noise:.2g} {unit}"
         )
     ended = {
-        "sampling": "as wide as the sampling rate allows",
+        "sampling": "as wide as the sampling rate of the slowest signal allows",
         "position": "beyond which the position does not resolve the acceleration",
         "torque": "beyond which the torque has next to no power",
         "length": "the narrowest that leaves enough outputs of so short a recording",

@@ -9,7 +9,8 @@ import pytest
 
 from bayesfric.arm import arm_rollout
 from bayesfric.arm.arm import Arm
-from bayesfric.arm.arm_log import ArmLog, layout_of
+from bayesfric.arm.arm_columns import layout_of
+from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.arm_options import NUMBERS, Payload, Uncertainty
 from bayesfric.arm.arm_rollout import rollout, simulate_arm
 from bayesfric.arm.inertial_prior import Bodies
@@ -124,7 +125,7 @@ def predicting(arm):
     other = bench.log(bench.urdf(bench.FACTORS), TRUTH, seconds=10.0, seed=2, faster=1.37)
     other.to_csv(folder / "other.csv", index=False)
     options, joints = Arm(folder / "arm.urdf", QUICK).options, arm.bodies.joints
-    layout = layout_of(folder / "other.csv", joints, {})
+    layout, _ = layout_of(folder / "other.csv", joints, options)
     log = ArmLog(folder / "other.csv", "other", options, layout, joints, 10_000)
     return replace(arm, logs=(*arm.logs, log))
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import resample
 
 from bayesfric.arm import excitation
-from bayesfric.arm.arm_log import layout_of
+from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_options import Payload, Uncertainty
 from bayesfric.arm.excitation import Limits, exciting_trajectory, limits_of
 from bayesfric.arm.inertial_prior import Bodies
@@ -193,9 +193,11 @@ def test_csv_is_a_log_of_the_arm(arm, free, tmp_path):
         columns = np.array([frame[f"{key}[{name}] [{unit}]"] for key, unit in units.items()])
         expected = [*free.motion[:, j], free.torque[j]]
         assert columns == pytest.approx(np.array(expected), rel=1e-14, abs=1e-99)
-    recording, _ = layout_of(path, arm.bodies.joints, {})
-    assert recording["position"]["column"] == "position[{joint}] [rad]"
-    assert recording["torque"]["column"] == "effort[{joint}] [N m]"
+    layout, assumed = layout_of(path, arm.bodies.joints, arm.options)
+    for name in JOINTS:
+        assert layout[name]["position"] == {"column": f"position[{name}] [rad]", "unit": "rad"}
+        assert layout[name]["torque"] == {"column": f"effort[{name}] [N m]", "unit": "N m"}
+    assert not assumed
 
 
 def test_joint_trajectory_is_yaml_of_20_points_a_second(free):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.arm.arm_options import Payload, Uncertainty
+from bayesfric.arm.arm_options import Coupling, Payload, Uncertainty
 from bayesfric.arm.inertial_prior import Bodies, directions, resolution
 from bayesfric.base.errors import BadInput
 
@@ -51,21 +51,44 @@ def test_a_payload_is_a_body_on_a_link(tmp_path):
     assert computed == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_mimic_joint_moves_with_another_whose_motor_carries_both(tmp_path):
-    """Power of the one motor is that of both joints."""
-    mimic = f'<mimic joint="{bench.SHOULDER}" multiplier="-0.5" offset="0.2"/>'
+def test_a_chain_of_mimic_joints_moves_with_the_joint_whose_motor_carries_all(tmp_path):
+    """Power of the one motor is that of all joints; the third turns by 2 (0.2 - q/2) + 0.1."""
     links = [bench.link(name) for name in bench.LINKS]
-    joints = (
-        bench.joint(bench.SHOULDER, "base", "upper"),
-        bench.joint(bench.SLIDE, "lower", "tool", "fixed"),
-    )
-    free = bodies_of(tmp_path, bench.robot(*links, *joints, bench.joint("e", "upper", "lower")))
+    first = bench.joint(bench.SHOULDER, "base", "upper")
+
+    def arm(second="", third=""):
+        joints = (
+            bench.joint("e", "upper", "lower", extra=second),
+            bench.joint("w", "lower", "tool", extra=third),
+        )
+        return bodies_of(tmp_path, bench.robot(*links, first, *joints))
+
     motion = random_motion(1)
-    both = np.concatenate([motion, -0.5 * motion], axis=1)
-    both[0, 1] += 0.2
-    shoulder, elbow = nominal(free, both)
-    coupled = bench.robot(*links, *joints, bench.joint("e", "upper", "lower", extra=mimic))
-    assert nominal(bodies_of(tmp_path, coupled), motion)[0] == pytest.approx(shoulder - 0.5 * elbow)
+    every = np.concatenate([motion, -0.5 * motion, -motion], axis=1)
+    every[0] += np.array([[0.0], [0.2], [0.5]])
+    torques = nominal(arm(), every)
+    second = f'<mimic joint="{bench.SHOULDER}" multiplier="-0.5" offset="0.2"/>'
+    coupled = arm(second, '<mimic joint="e" multiplier="2" offset="0.1"/>')
+    assert nominal(coupled, motion)[0] == pytest.approx([1.0, -0.5, -1.0] @ torques)
+    with pytest.raises(BadInput, match="mimic each other"):
+        arm(second, '<mimic joint="w"/>')
+
+
+def test_torques_of_coupled_joints_are_those_of_their_motors(tmp_path):
+    """By virtual work: their power is that of the joints."""
+    matrix = ((1.0, 0.25), (-0.5, 2.0))
+    (tmp_path / "arm.urdf").write_text(bench.urdf())
+    coupling = Coupling(joints=(bench.ELBOW, bench.SHOULDER), matrix=matrix)
+    coupled = Bodies(tmp_path / "arm.urdf", GRAVITY, coupling)
+    motion = random_motion(2)
+    speed = np.linalg.solve(coupled.motors, motion[1])
+    joints = np.stack([np.linalg.solve(coupled.motors, x) for x in motion])
+    assert motion[1, 1] == pytest.approx(speed[1] + 0.25 * speed[0])  # the elbow's motor
+    free = nominal(bodies_of(tmp_path, bench.urdf()), joints)
+    power = np.sum(free * joints[1], axis=0)
+    assert np.sum(nominal(coupled, motion) * motion[1], axis=0) == pytest.approx(power)
+    with pytest.raises(BadInput, match=r"coupling\.joints"):
+        Bodies(tmp_path / "arm.urdf", GRAVITY, Coupling(joints=("x",), matrix=((1.0,),)))
 
 
 def test_directions_leave_less_than_the_threshold(tmp_path):
