@@ -276,6 +276,8 @@ BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
     """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
+        if kind.of_recording and motion.chain.by_target and kind.name != "torque_constant":
+            continue  # nothing was recorded of a torque
         size = 0.0 if kind.of_position and motion.recording.integrated else 1.0
         for shape, columns in kind.shapes(motion).items():
             for number, column in enumerate(columns):
@@ -318,10 +320,12 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
 def filtered_columns(
     o: Signals, columns: Iterable[tuple[Key, Array]], dtype: DTypeLike = np.float64
 ) -> tuple[list[Key], Array]:
-    """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous in memory."""
+    """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous; not finite counts as zero."""
     keys, rows = [], []
     for key, column in columns:
+        row = o.filter.apply(column)
+        if not np.isfinite(row).all():
+            row = o.filter.apply(np.where(np.isfinite(column), column, 0.0))
         keys.append(key)
-        finite = np.where(np.isfinite(column), column, 0.0)
-        rows.append(o.filter.apply(finite).astype(dtype))
+        rows.append(row.astype(dtype))
     return keys, np.array(rows).T

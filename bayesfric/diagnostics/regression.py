@@ -81,6 +81,14 @@ Severity = Literal["note", "doubt"]
 _STEP = 1e-6
 # Gain by which a candidate is better than another: a factor of 150 in likelihood.
 _BETTER = 10.0
+# Cosine from which two effects are collinear: a tenth of the variance of either is its own.
+COLLINEAR = 0.95
+
+
+def _contains(directions: Array, vector: Array) -> bool:
+    """Whether directions ``(d, k)``, of those that data determine, hold a vector ``(d,)``."""
+    projected = directions.T @ vector
+    return bool(projected @ projected > 0.999 * (vector @ vector))
 
 
 @dataclass(frozen=True)
@@ -349,22 +357,26 @@ class Regression:
     def _fitted(self, effect: Finding, extra: Sequence[int], worth: Array) -> Finding:
         """Fit a selected candidate: its share and place, shifts of parameters, collinear kinds."""
         d, split, scan = self.sizes.size, self.sizes.size + len(extra), effect.scan
-        before, *_ = self._fit(extra)
-        after, covariance, determined = self._fit([*extra, *effect.columns])
-        shift, moves = after[:d] - before[:d], {}
+        before, _, determined = self._fit(extra)
+        after, covariance, remaining = self._fit([*extra, *effect.columns])
+        shift, moves, own = after[:d] - before[:d], {}, list[str]()
         for name, gradient in self.gradients.items():
-            scaled = gradient * self.sizes
-            projected = determined[:d].T @ scaled
-            # of identified directions alone
-            if projected @ projected > 0.999 * (scaled @ scaled):
+            scaled, collinear = gradient * self.sizes, True
+            if _contains(remaining[:d], scaled):
                 variance = float(gradient @ covariance[:d, :d] @ gradient)
                 moves[name] = float(gradient @ shift) / math.sqrt(variance)
+                most = COLLINEAR * np.sqrt(variance * covariance.diagonal()[split:])
+                collinear = bool(np.all(np.abs(gradient @ covariance[:d, split:]) > most))
+            # a parameter that a delay replaces is its rival: neither is then known
+            if effect.kind == DELAYS[False] and collinear and _contains(determined[:d], scaled):
+                own.append(name.rpartition(".")[2])
         # effect in one recording alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(effect.shape, "")
         span = None
         if scan is not None and scan.kind == TRANSIENT:
             recording, reach = self.scales.names[scan.recording], 2.0 * self.scales.transient_width
             span = scan.place - reach, scan.place + reach
+        rivals = self._collinear(effect, extra, worth) if effect.significant else ()
         return replace(
             effect,
             share=self._share(effect.columns, after[split:]),
@@ -372,7 +384,7 @@ class Regression:
             span=span,
             coefficients=after[split:],
             moves=moves,
-            rivals=tuple(self._collinear(effect, extra, worth)) if effect.significant else (),
+            rivals=tuple(dict.fromkeys([*filter(BY_NAME.get, own), *rivals])),
         )
 
     def _fit(self, columns: Sequence[int]) -> tuple[Array, Array, Array]:
@@ -385,13 +397,7 @@ class Regression:
         torque = self.data.others[:, columns] @ coefficients
         return rms(torque) / self.scales.torque
 
-    def _collinear(
-        self,
-        effect: Finding,
-        extra: Sequence[int],
-        worth: Array,
-        collinear_from: float = 0.95,
-    ) -> Iterator[str]:
+    def _collinear(self, effect: Finding, extra: Sequence[int], worth: Array) -> Iterator[str]:
         """List other kinds that explain as much or are collinear; none for disturbances."""
         if effect.kind in (SINUSOID, TRANSIENT):
             return
@@ -407,7 +413,7 @@ class Regression:
             if key.kind in yielded or BY_NAME[key.kind].of_recording:
                 continue
             cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
-            collinear = cosines.size > 0 and float(cosines.min()) > collinear_from
+            collinear = cosines.size > 0 and float(cosines.min()) > COLLINEAR
             if gain > best - _BETTER or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind

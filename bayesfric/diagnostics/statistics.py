@@ -82,6 +82,11 @@ class Layout:
         return np.split(x, np.cumsum([a.size for a in self.at])[:-1])
 
     @cached_property
+    def timed(self) -> bool:
+        """Whether any output follows another; points at constant speeds are in any order."""
+        return any(flags.any() for flags in self.runs)
+
+    @cached_property
     def outputs(self) -> int:
         """Number of outputs."""
         return sum(a.size for a in self.at)
@@ -254,7 +259,7 @@ def sinusoidal_disturbance(y: Array, layout: Layout) -> Scan:
     rows = np.bincount(places, y, len(layout.at) * size).reshape(-1, size)
     power = (np.abs(np.fft.rfft(rows)) ** 2).sum(axis=0)
     f = np.fft.rfftfreq(size, step)
-    inside = (f >= 2.0 / span) & (f <= 0.45 / step)
+    inside = (f >= 2.0 / span) & (f <= 0.45 / step) & layout.timed
     power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))
     power = power / np.maximum(1.0 - power / y.size, 1e-6)
     i = int(np.argmax(power))
@@ -269,6 +274,8 @@ def transient_disturbance(y: Array, layout: Layout, width: float) -> Scan:
     best = Scan(TRANSIENT, 0.0, 0.0)
     variance = float(np.mean(y**2))
     for k, (t, x) in enumerate(zip(layout.stamps, layout.split(y), strict=True)):
+        if not layout.timed:
+            break
         centres = np.arange(t[0] + width, t[-1], width)
         first = np.searchsorted(t, centres - 1.5 * width)
         last = np.searchsorted(t, centres + 1.5 * width)
