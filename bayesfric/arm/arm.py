@@ -18,8 +18,9 @@ import numpy as np
 from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import ArmOptions
+from bayesfric.arm.common_factors import common_factors, compared_torques
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
-from bayesfric.arm.inertial_prior import Bodies, UrdfJoint, directions, resolution
+from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, directions, resolution
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
 from bayesfric.fit.model import Model
@@ -120,43 +121,64 @@ class Arm:
                 ArmLog(path, name, options, layout, bodies.joints, size)
                 for path, name in zip(paths, names, strict=True)
             ]
-            efforts: dict[str, Measurement | BadInput] = {}
-            for name in logs[0].sources:
-                if self.options.of(name).fit:
-                    try:
-                        efforts[name] = logs[0].measured(bodies.joints[name])
-                    except BadInput as error:
-                        efforts[name] = error
             report(Progress("torque of the bodies"))
-            prior = bodies.prior(options.urdf, options.payload)
-            parameters = [prior.columns(loaded=log.loaded) for log in logs]
-            projected = self._projected(parameters, logs, efforts)
-            fitted = {}
-            for name, effort in efforts.items():
+            prior, others = bodies.prior(options.urdf, options.payload), names[fitted_count:]
+            joints, models = self._models(bodies, prior, logs, others)
+            directions = {name: joint.directions for name, joint in joints.items()}
+            known = options.payload.given
+            factors = common_factors(bodies, prior, logs, models, directions, payload=known)
+            if factors.changes:
+                bodies, prior = bodies.under(factors.gravity), prior.widened(factors.widths)
+                for log in logs:
+                    log.scales = factors.scales
+                joints, models = self._models(bodies, prior, logs, others)
+            for name, model in models.items():
                 report(Progress(name))
-                joint = FittedJoint(
-                    bodies.joints[name], self.options.of(name).gear_ratio, projected[name][0]
-                )
                 try:
-                    if isinstance(effort, BadInput):
-                        raise effort
-                    urdf, *deviations = projected[name][1][0]
-                    joint = replace(
-                        joint,
-                        remarks=tuple(remarks(joint.joint, effort, urdf)),
-                        urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
-                    )
-                    model = self._model(joint, logs, projected[name][1], names[fitted_count:])
-                    fitted[name] = replace(joint, result=model.fit(seed=seed, progress=report))
+                    result = factors.doubted(name, model.fit(seed=seed, progress=report))
+                    joints[name] = replace(joints[name], result=result)
                 except BadInput as error:
-                    fitted[name] = replace(joint, failure=str(error))
-        if all(joint.result is None for joint in fitted.values()):
-            failures = "; ".join(f"{name}: {joint.failure}" for name, joint in fitted.items())
+                    joints[name] = replace(joints[name], failure=str(error))
+        if all(joint.result is None for joint in joints.values()):
+            failures = "; ".join(f"{name}: {joint.failure}" for name, joint in joints.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return FittedArm.combined(bodies, logs, fitted, prior, seed, assumed)
+        return FittedArm.combined(bodies, logs, joints, prior, seed, factors, assumed)
+
+    def _models(
+        self, bodies: Bodies, prior: InertialPrior, logs: Sequence[ArmLog], held_out: Sequence[str]
+    ) -> tuple[dict[str, FittedJoint], dict[str, Model]]:
+        """Make the models of all joints that are to be fitted; a joint has none if it failed."""
+        efforts: dict[str, Measurement | BadInput] = {}
+        for name in logs[0].sources:
+            if self.options.of(name).fit:
+                try:
+                    efforts[name] = logs[0].measured(bodies.joints[name])
+                except BadInput as error:
+                    efforts[name] = error
+        parameters = [prior.columns(loaded=log.loaded) for log in logs]
+        projected, joints = self._projected(bodies, parameters, logs, efforts), {}
+        models = dict[str, Model]()
+        for name, effort in efforts.items():
+            directions, torques = projected[name]
+            joint = FittedJoint(bodies.joints[name], self.options.of(name).gear_ratio, directions)
+            try:
+                if isinstance(effort, BadInput):
+                    raise effort
+                models[name] = self._model(joint, logs, torques, held_out)
+                urdf, *deviations = compared_torques(models[name])
+                joint = replace(
+                    joint,
+                    remarks=tuple(remarks(joint.joint, effort)),
+                    urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
+                )
+            except BadInput as error:
+                joint = replace(joint, failure=str(error))
+            joints[name] = joint
+        return joints, models
 
     def _projected(
         self,
+        bodies: Bodies,
         parameters: Sequence[Array],
         logs: Sequence[ArmLog],
         efforts: Mapping[str, Measurement | BadInput],
@@ -170,7 +192,7 @@ class Arm:
         ``(n_deviations, k)``, and the torques ``(1 + k, n)`` in each log: nominal, and one sd along
         each direction.
         """
-        bodies, order = self.bodies, list(self.bodies.joints)
+        order = list(bodies.joints)
         counts = [log.motion.shape[2] for log in logs]
         sizes = [max(compared * n // sum(counts), 1) for n in counts]
         samples = [
@@ -243,23 +265,12 @@ class Arm:
         return Model.from_config(config, recordings=recordings)
 
 
-def remarks(joint: UrdfJoint, recording: Measurement, urdf: Array) -> Iterator[str]:
-    """Report where a joint's log contradicts the URDF.
-
-    The effort is regressed on the rigid-body torque ``urdf`` ``(n,)``, Coulomb and viscous
-    friction: where that torque is most of the effort, its factor is about 1.
-    """
+def remarks(joint: UrdfJoint, recording: Measurement) -> Iterator[str]:
+    """Report positions that the URDF does not allow."""
     travel, limit = float(np.ptp(recording.position)), joint.high - joint.low
     if travel > 1.5 * limit:
         limits = f"its limits in the URDF over {limit:.3g}"
         yield f"its positions range over {travel:.3g}, {limits}: is their unit right?"
-    speed = np.gradient(recording.position, recording.time)
-    columns = np.stack([urdf, np.sign(speed), speed, np.ones_like(urdf)], axis=1)
-    factor = float(np.linalg.lstsq(columns, recording.torque, rcond=None)[0][0])
-    share = abs(factor) * float(np.std(urdf)) / float(np.std(recording.torque))
-    if share > 0.5 and not 0.5 < factor < 2.0:
-        cause = "the opposite sign" if -2.0 < factor < -0.5 else "another unit or drive gain"
-        yield f"its effort is {factor:.2g} times the rigid-body torque of the URDF: has it {cause}?"
 
 
 def _rms(torques: Sequence[Array]) -> float:

@@ -62,6 +62,11 @@ class Payload(Options):
     mass_sd: Kilograms = Field(1.0, description="Standard deviation of that mass, kg.")
     centre_sd: Metres = Field(0.1, description="How far off that a mass of mass_sd may be, m.")
 
+    @property
+    def given(self) -> bool:
+        """Whether anything is said of a payload, so that there is one."""
+        return self != Payload()
+
 
 class Uncertainty(Options):
     """The ``[urdf]`` table: how well the bodies of the URDF are known, as standard deviations."""

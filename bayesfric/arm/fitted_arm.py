@@ -20,6 +20,7 @@ import numpy as np
 
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS
+from bayesfric.arm.common_factors import CommonFactors
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
 from bayesfric.arm.joint_consistency import (
     UNLIKELY,
@@ -195,6 +196,10 @@ class FittedJoint:
         if not self.agrees:
             p = p_text(self.p_value)
             lines.append(f"excluded: contradicts the others about inertial parameters ({p})")
+        if any(finding.kind == "gravity" for finding in self.result.summary.findings):
+            lines.append(
+                "gravity acts on it that no bodies explain: is its axis right in the URDF?"
+            )
         lines += [f"added: {term.text}" for term in self.result.summary.taken]
         of_fit = (x for x in messages_of(self.result.summary) if x.kind != "held out")
         briefs = list(dict.fromkeys(message.brief for message in of_fit if message.brief))
@@ -236,6 +241,7 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
     consistency: JointConsistency
+    factors: CommonFactors
     assumed: str = ""  # about units that the log does not have
 
     @classmethod
@@ -246,6 +252,7 @@ class FittedArm:
         joints: Mapping[str, FittedJoint],
         prior: InertialPrior,
         seed: int | None,
+        factors: CommonFactors,
         assumed: str = "",
     ) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
@@ -255,7 +262,7 @@ class FittedArm:
         consistency = combine_joints(prior, likelihoods, rng)
         for name, joint in fitted.items():
             updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, assumed)
+        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed)
 
     @property
     def urdf(self) -> Path:
@@ -303,7 +310,9 @@ class FittedArm:
             "p": consistency.p,
             "agreed": [*consistency.agreed],
             "physical": consistency.physical,
-            "width": consistency.width,
+            "width": float(np.max(self.prior.widths)),
+            "factor": dict(zip(("value", "sd"), self.factors.bodies, strict=True)),
+            "departures": [departure._asdict() for departure in self.factors.departures],
             "causes": consistency.deviations(self.prior),
             "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),
         }

@@ -194,18 +194,12 @@ def test_wrong_options_are_refused(options, message):
         Arm("arm.urdf", options).fit("log.csv")
 
 
-@pytest.mark.parametrize(
-    ("factor", "degrees", "message"),
-    [(1.0, 1.0, None), (-1.0, 1.0, "sign"), (0.08, 1.0, "drive gain"), (1.0, 57.3, "unit")],
-)
-def test_remarks_where_the_urdf_contradicts_a_log(factor, degrees, message):
+def test_positions_beyond_the_limits_of_the_urdf_are_remarked():
     time = np.arange(0.0, 10.0, 0.01)
-    urdf = 20.0 * np.cos(2.0 * time)
     joint = UrdfJoint("elbow", "rotary", low=-3.0, high=3.0)
-    effort = factor * urdf + 0.1 * np.sign(np.cos(time))
-    recording = made_recording(time, degrees * np.sin(time), effort, 0.01)
-    lines = [*remarks(joint, recording, urdf)]
-    assert (len(lines) == 1 and message in lines[0]) if message else not lines
+    for degrees in (1.0, 57.3):
+        recording = made_recording(time, degrees * np.sin(time), np.cos(time), 0.01)
+        assert len([*remarks(joint, recording)]) == (degrees > 1.0)
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the real recordings are not at {DATA}")
