@@ -48,6 +48,8 @@ LONG = {
         replicates explanation regression""",
     "estimates": """
         assemble input_error output_error processing""",
+    "fit": """
+        targets_alone""",
     "export": """
         command mujoco""",
     "fleet": """

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from bayesfric.arm.arm_columns import layout_of
+from bayesfric.arm.arm_coupling import coupled_joint, remark
+from bayesfric.arm.arm_delay import common_delay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import ArmOptions
 from bayesfric.arm.common_factors import common_factors, compared_torques
@@ -63,7 +65,7 @@ class Arm:
             source = Path("Arm")
             text = document_text(options or {}, source)
         self.options = checked_toml(text, source, ArmOptions, "table of an arm")
-        self.bodies = Bodies(Path(urdf), self.options.gravity)
+        self.bodies = Bodies(Path(urdf), self.options.gravity, self.options.coupling)
         joints = self.bodies.joints
         for name, joint_options in self.options.joints.items():
             if name not in joints:
@@ -123,17 +125,20 @@ class Arm:
             ]
             report(Progress("torque of the bodies"))
             prior, others = bodies.prior(options.urdf, options.payload), names[fitted_count:]
-            joints, models = self._models(bodies, prior, logs, others)
+            joints, models, torques = self._models(bodies, prior, logs, others, options.delay)
+            late = common_delay(models) if options.delay is None else None
+            delay = late.value if late is not None and late.evident else options.delay or 0.0
             directions = {name: joint.directions for name, joint in joints.items()}
             known = options.payload.given
             factors = common_factors(bodies, prior, logs, models, directions, payload=known)
-            if factors.changes:
+            if factors.changes or late is not None:
                 bodies, prior = bodies.under(factors.gravity), prior.widened(factors.widths)
                 for log in logs:
                     log.scales = factors.scales
-                joints, models = self._models(bodies, prior, logs, others)
+                joints, models, torques = self._models(bodies, prior, logs, others, delay)
             for name, model in models.items():
                 report(Progress(name))
+                joints[name] = self._with_coupling(joints[name], model, logs[0], torques[name])
                 try:
                     result = factors.doubted(name, model.fit(seed=seed, progress=report))
                     joints[name] = replace(joints[name], result=result)
@@ -142,12 +147,20 @@ class Arm:
         if all(joint.result is None for joint in joints.values()):
             failures = "; ".join(f"{name}: {joint.failure}" for name, joint in joints.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return FittedArm.combined(bodies, logs, joints, prior, seed, factors, assumed)
+        return FittedArm.combined(bodies, logs, joints, prior, seed, factors, assumed, late)
 
     def _models(
-        self, bodies: Bodies, prior: InertialPrior, logs: Sequence[ArmLog], held_out: Sequence[str]
-    ) -> tuple[dict[str, FittedJoint], dict[str, Model]]:
-        """Make the models of all joints that are to be fitted; a joint has none if it failed."""
+        self,
+        bodies: Bodies,
+        prior: InertialPrior,
+        logs: Sequence[ArmLog],
+        held_out: Sequence[str],
+        delay: float | None,
+    ) -> tuple[dict[str, FittedJoint], dict[str, Model], dict[str, list[Array]]]:
+        """Make the joints that are to be fitted, and the models of those that can be.
+
+        Also returns the torques ``(1 + k, n)`` of each joint in each log.
+        """
         efforts: dict[str, Measurement | BadInput] = {}
         for name in logs[0].sources:
             if self.options.of(name).fit:
@@ -156,25 +169,40 @@ class Arm:
                 except BadInput as error:
                     efforts[name] = error
         parameters = [prior.columns(loaded=log.loaded) for log in logs]
-        projected, joints = self._projected(bodies, parameters, logs, efforts), {}
-        models = dict[str, Model]()
+        projected = self._projected(bodies, parameters, logs, efforts)
+        joints, models = dict[str, FittedJoint](), dict[str, Model]()
         for name, effort in efforts.items():
-            directions, torques = projected[name]
+            directions, torques, resolved = projected[name]
             joint = FittedJoint(bodies.joints[name], self.options.of(name).gear_ratio, directions)
             try:
                 if isinstance(effort, BadInput):
                     raise effort
-                models[name] = self._model(joint, logs, torques, held_out)
+                models[name] = self._model(joint, logs, torques, held_out, delay)
                 urdf, *deviations = compared_torques(models[name])
                 joint = replace(
                     joint,
                     remarks=tuple(remarks(joint.joint, effort)),
                     urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
+                    is_loaded=_rms([urdf]) > resolved,
                 )
             except BadInput as error:
                 joint = replace(joint, failure=str(error))
             joints[name] = joint
-        return joints, models
+        return joints, models, {name: torques for name, (_, torques, _) in projected.items()}
+
+    def _with_coupling(
+        self, joint: FittedJoint, model: Model, log: ArmLog, torques: Sequence[Array]
+    ) -> FittedJoint:
+        """Note a joint whose motor turns with another one, too, as no option says."""
+        name, order = joint.joint.name, [*self.bodies.joints]
+        if name in self.options.coupling.joints:
+            return joint
+        observation, *_ = model.observations
+        coupled = coupled_joint(observation, log, order, name, torques[0])
+        if coupled is None:
+            return joint
+        text = remark(name, coupled, "N" if joint.joint.motion == "linear" else "N m")
+        return replace(joint, remarks=(*joint.remarks, text), is_coupled=True)
 
     def _projected(
         self,
@@ -184,13 +212,13 @@ class Arm:
         efforts: Mapping[str, Measurement | BadInput],
         *,
         compared: int = 2000,
-    ) -> dict[str, tuple[Array, list[Array]]]:
+    ) -> dict[str, tuple[Array, list[Array], float]]:
         """Project the inertial prior on the torque of each joint.
 
         ``parameters`` are the prior's columns in each log; ``compared`` samples in all give the
         directions. Returns by joint directions
-        ``(n_deviations, k)``, and the torques ``(1 + k, n)`` in each log: nominal, and one sd along
-        each direction.
+        ``(n_deviations, k)``, the torques ``(1 + k, n)`` in each log: nominal, and one sd along
+        each direction, and the smallest rms torque that the effort resolves.
         """
         order = list(bodies.joints)
         counts = [log.motion.shape[2] for log in logs]
@@ -204,7 +232,7 @@ class Arm:
             for log, at, columns in zip(logs, samples, parameters, strict=True)
         ]
         every_torque, at = np.concatenate(torques, axis=2), samples[0]
-        joint_directions = []
+        joint_directions, resolved = [], []
         for j, name in enumerate(order):
             threshold, effort = np.inf, efforts.get(name)
             if isinstance(effort, Measurement):
@@ -213,6 +241,7 @@ class Arm:
                 error = resolution(torque, qd, qdd, torques[0][j])
                 threshold = error * np.sqrt(at.size / counts[0])
             joint_directions.append(directions(every_torque[j, 1:], threshold))
+            resolved.append(threshold)
         width = max(x.shape[1] for x in joint_directions)
         combinations = np.zeros((len(order), parameters[0].shape[1], 1 + width))
         combinations[:, 0, 0] = 1.0
@@ -223,7 +252,7 @@ class Arm:
             for log, columns in zip(logs, parameters, strict=True)
         ]
         return {
-            name: (x, [torque[j, : 1 + x.shape[1]] for torque in projected])
+            name: (x, [torque[j, : 1 + x.shape[1]] for torque in projected], resolved[j])
             for j, (name, x) in enumerate(zip(order, joint_directions, strict=True))
         }
 
@@ -233,8 +262,12 @@ class Arm:
         logs: Sequence[ArmLog],
         torques: Sequence[Array],
         held_out: Sequence[str],
+        delay: float | None,
     ) -> Model:
-        """Make the model of one joint: an element whose load is the rigid-body torque."""
+        """Make the model of one joint: an element whose load is the rigid-body torque.
+
+        ``delay`` is that of positions after efforts, s, unknown if None; options may have another.
+        """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)
         recordings = [log.recording(joint, t) for log, t in zip(logs, torques, strict=True)]
@@ -244,12 +277,24 @@ class Arm:
         if joint_options.rotor_inertia and joint_options.gear_ratio:
             inertia = joint_options.rotor_inertia * joint_options.gear_ratio**2
             priors["motor.inertia"] = {**normal, "loc": inertia, "scale": 0.2 * inertia}
+        delay = delay if joint_options.delay is None else joint_options.delay
+        gain = joint_options.gain or options.gain
+        if delay:
+            priors["drive.delay"] = delay
+        if gain:
+            lognormal = {"distribution": "lognorm", "s": gain, "scale": 1.0}
+            priors["drive.gain"] = [*gain] if isinstance(gain, tuple) else lognormal
+        friction = {**_FRICTION, **options.friction.settings()}
+        if not fitted.is_loaded:  # friction that depends on it is not identifiable
+            friction["load_loss"] = "none"
         document = {
             "mechanism": {
                 "terms": options.terms,
                 "motion": joint.motion,
                 "offset": True,
-                "elements": {"motor": {**_FRICTION, **options.friction.settings()}},
+                "gain": bool(gain),
+                "delay": delay != 0.0,
+                "elements": {"motor": friction},
                 "load": {"motion": joint.motion, "signals": columns},
             },
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],

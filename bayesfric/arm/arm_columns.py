@@ -105,6 +105,7 @@ def recognised_layout(
             if key == "time" and not unit and column != OPEN:
                 unit = _time_unit(table.values(column))
             document[key] = {"column": column, "unit": unit or OPEN}
+            document[key] |= dict([recognised.decoding[key]] if key in recognised.decoding else [])
         if "current" in document:
             document["current"]["torque_constant"] = "{torque_constant}"
         layout[name] = document

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from bayesfric.arm.arm_columns import Joints, Layout
-from bayesfric.arm.arm_options import ArmOptions
+from bayesfric.arm.arm_options import ArmOptions, Coupling
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
@@ -30,7 +30,7 @@ from bayesfric.recordings.read import (
 )
 from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.signals import choose_filters, filtered_motion
-from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source, Torque
+from bayesfric.recordings.source import CHANNELS, SI, Columns, Position, Recording, Source, Torque
 from bayesfric.recordings.tables import Table
 
 _URDF_TORQUE, _STAMPS = "urdf_torque", "stamps in s"
@@ -65,6 +65,7 @@ class ArmLog:
         keys = {key: recording[key] for key in TableOptions.model_fields if key in recording}
         every = self._open(read_table(path, TableOptions.model_validate(keys)), joints)
         held = {name: x.held for name, x in options.joints.items() if x.held is not None}
+        every = (self._of_motors(every[0], joints, options.coupling, held), *every[1:])
         processing, self._needed_rate, most = options.processing, math.inf, max_samples
         while True:  # until the rate is what the motion needs
             self._keep(every, most)
@@ -133,6 +134,32 @@ class ArmLog:
         table = Table(str(self.path), names, lambda i: cells[names[i]], notes=table.notes)
         return table, stamps, chosen_rows(source, stamps, table.where)
 
+    def _of_motors(
+        self, table: Table, joints: Joints, coupling: Coupling, held: Mapping[str, float]
+    ) -> Table:
+        """Compute the positions of the motors of coupled joints, in place of those of joints."""
+        if not coupling.joints:
+            return table
+        cells = {name: table.column(name) for name in table.names}
+        positions = np.zeros((len(coupling.joints), next(iter(cells.values())).size))
+        for q, name in zip(positions, coupling.joints, strict=True):
+            q[:] = held.get(name, 0.0)
+            if name in self.sources:
+                drive = Drive(1.0, joints[name].motion, joints[name].motion)
+                q[:] = joint_signal(_of_table(self.sources[name]), "position", table, drive)[0]
+        motors = np.array(coupling.matrix) @ positions
+        for position, name in zip(motors, coupling.joints, strict=True):
+            if name in self.sources:
+                column = f"position of the motor of {name}"
+                cells[column] = position
+                update = {"position": Position(column=column, unit=SI), "velocity": None}
+                self.sources[name] = self.sources[name].model_copy(update=update)
+            elif np.ptp(position) > 0.0:
+                hint = "couple joints of the log only"
+                raise BadInput(f"joints.{name}.held", "its motor moves with another", hint)
+        names = [*cells]
+        return Table(table.where, names, lambda i: cells[names[i]], notes=table.notes)
+
     def _keep(self, every: tuple[Table, Array, tuple[int, int]], most: int) -> None:
         """Keep the chosen rows; of more than ``most`` some, as segments all over the log."""
         self.table, self._stamps, (first, last) = every
@@ -154,10 +181,8 @@ class ArmLog:
     def _joint_motion(self, joint: UrdfJoint) -> Measurement | float:
         """Read the motion of a joint, or its constant position."""
         source, column = self.sources[joint.name], "in place of a torque"
-        assert source.position is not None
-        channel = source.position.model_copy(update={"column": _name(source.position.column)})
         drive = Drive(1.0, joint.motion, joint.motion)
-        position = joint_signal(channel, "position", self.table, drive)[0]
+        position = joint_signal(_of_table(source), "position", self.table, drive)[0]
         if np.ptp(position) == 0.0:
             return float(position[0])
         # the motion does not depend on the drive, which may be missing
@@ -206,6 +231,12 @@ def signals(count: int) -> list[str]:
 
 def _name(key: str | int) -> str:
     return key if isinstance(key, str) else f"column {key}"
+
+
+def _of_table(source: Columns) -> Position:
+    """Return the position's channel with the name that its column has in a log's table."""
+    assert source.position is not None
+    return source.position.model_copy(update={"column": _name(source.position.column)})
 
 
 def _source(document: Mapping[str, Any]) -> Source:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
+from bayesfric.base.errors import Unfit
 from bayesfric.base.options import Options
 from bayesfric.mechanism.configuration import ElementOptions
 from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.units import Kilograms, Metres
+from bayesfric.recordings.units import Delay, Kilograms, Metres
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+# Relative standard deviation of a drive gain, or range of its factor.
+Gain = Positive | tuple[Positive, Positive]
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ NUMBERS: Mapping[str, JointNumber] = {
         ("motor.load", "motor.load_drive", "motor.load_back"), "load loss", "friction per load"
     ),
     "offset": JointNumber(("offset",), "", "offset"),
+    "gain": JointNumber(("drive.gain",), "drive gain", "true torque per effort"),
 }
 
 
@@ -60,7 +66,9 @@ class Payload(Options):
     mass: Kilograms = Field(0.0, description="Known mass, kg.")
     centre: Vector = Field((0.0, 0.0, 0.0), description="Its centre in the link's frame, m.")
     mass_sd: Kilograms = Field(1.0, description="Standard deviation of that mass, kg.")
-    centre_sd: Metres = Field(0.1, description="How far off that a mass of mass_sd may be, m.")
+    centre_sd: Metres = Field(
+        0.1, description="How far off its centre may be, and how large it is, m."
+    )
 
     @property
     def given(self) -> bool:
@@ -77,6 +85,33 @@ class Uncertainty(Options):
     centre: Metres = Field(0.02, description="Of each body's centre of mass, m, along each axis.")
 
 
+class Coupling(Options):
+    """The ``[coupling]`` table: joints of which a motor turns several, as in many wrists."""
+
+    joints: tuple[str, ...] = Field((), description="Their names, in the order of the matrix.")
+    matrix: tuple[tuple[Finite, ...], ...] = Field(
+        (),
+        description="Positions of the motors, each over its gear ratio, per positions of the "
+        "joints, a row a motor: [[1, 0], [1, 1]]. Efforts are those of the motors.",
+    )
+
+    @model_validator(mode="after")
+    def _invertible(self) -> Self:
+        size = len(self.joints)
+        if len(set(self.joints)) < size or [*map(len, self.matrix)] != [size] * size:
+            raise Unfit(f"joints that differ, and {size} rows of {size} numbers", "got others")
+        if size and not np.linalg.cond(np.array(self.matrix)) < 1e6:
+            raise Unfit("a matrix that can be inverted", "got one that cannot")
+        return self
+
+    def motors(self, joints: Sequence[str]) -> Array:
+        """Give the positions of all motors per positions of ``joints``, a square matrix."""
+        every, at = np.eye(len(joints)), [[*joints].index(name) for name in self.joints]
+        if at:
+            every[np.ix_(at, at)] = self.matrix
+        return every
+
+
 class JointOptions(Options):
     """A ``[joints.NAME]`` table."""
 
@@ -90,6 +125,8 @@ class JointOptions(Options):
         description="Torque at the joint per current (drive gain), such as '13.58 N m/A'; it is "
         "{torque_constant} in [recording].",
     )
+    gain: Gain | None = Field(None, description="As that of the arm, for this joint.")
+    delay: Delay | None = Field(None, description="As that of the arm, for this joint.")
     gear_ratio: Positive | None = Field(
         None, description="Motor speed over joint speed; then the rotor's inertia is reported, too."
     )
@@ -106,6 +143,7 @@ class ArmOptions(Options):
 
     gravity: Vector = Field((0.0, 0.0, -9.80665), description="In the frame of the root, m/s².")
     payload: Payload = Field(Payload(), description="A mass that is not in the URDF.")
+    coupling: Coupling = Field(Coupling(), description="Joints of which a motor turns several.")
     urdf: Uncertainty = Field(Uncertainty(), description="How well the URDF is known.")
     recording: dict[str, Any] = Field(
         default_factory=dict,
@@ -120,6 +158,16 @@ class ArmOptions(Options):
     terms: Literal["auto", "as written"] = Field(
         "as written",
         description="auto adds terms that explain a joint's torque; minutes more a joint.",
+    )
+    gain: Gain | None = Field(
+        None,
+        description="How well drive gains are known, or the scale of efforts: relative standard "
+        "deviation, or range [0.8, 1.2] of true over measured torque; exact if left out.",
+    )
+    delay: Delay | None = Field(
+        None,
+        description="Time by which the positions of the log come after its efforts, such as "
+        "'4 ms', or 'off'; estimated by all joints if left out.",
     )
     processing: Processing = Field(
         Processing(), description="As [processing] of a configuration, for all joints."

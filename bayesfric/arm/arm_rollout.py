@@ -130,7 +130,12 @@ def rollout(
         draw = {key: np.stack([x[key][k] for x in friction], axis=-1) for key in NUMBERS}
         # the time within a sample at which the effort was measured, or jumps, is unknown
         sampled = log.time + log.period * rng.uniform(-0.5, 0.5)
-        effort = [np.interp(sampled, x.time, x.torque) for x in measured] - np.array(residual)
+        effort = np.array(
+            [
+                x["gain"][k, 0] * (np.interp(sampled - x["delay"][k, 0], m.time, m.torque) - r)
+                for x, m, r in zip(friction, measured, residual, strict=True)
+            ]
+        )
         dynamics = bodies.dynamics(inertial[k])
         simulated[k] = simulate_arm(dynamics, draw, log.time, log.motion, effort, driven, restarts)
     units = {
@@ -147,14 +152,16 @@ def _friction(joint: FittedJoint, values: Array) -> dict[str, Array]:
     ``(n, n_parameters)``.
     """
     names = joint.fitted.fit.chain.names
-    known = {name for number in NUMBERS.values() for name in number.parameters}
+    parameters = {key: number.parameters for key, number in NUMBERS.items()}
+    parameters["delay"] = ("drive.delay",)
+    known = {name for names_of_key in parameters.values() for name in names_of_key}
     if unknown := [n for n in names if n not in known and not n.startswith("load.urdf_")]:
         problem = f"has {listed(unknown)}, which roll-outs of an arm do not support"
         raise BadInput(f"joint {joint.joint.name!r}", problem, "fit it without, or skip roll-outs")
     numbers = {}
-    for key, number in NUMBERS.items():
-        columns = [values[:, names.index(name)] for name in number.parameters if name in names]
-        columns = columns or [np.zeros(len(values))]
+    for key, known_as in parameters.items():
+        columns = [values[:, names.index(name)] for name in known_as if name in names]
+        columns = columns or [np.full(len(values), float(key == "gain"))]
         numbers[key] = np.stack([columns[0], columns[-1]], axis=1)
     return numbers
 
@@ -174,7 +181,7 @@ def _residual(
     constant = c["coulomb"][backwards] + c["load"][back_driven] * np.abs(load)
     torque += constant * np.sign(o.qd)
     moves = np.abs(o.qd) > float(o.settings["dead_zone"])
-    return o.stamps[moves], (o.compared - torque)[moves]
+    return o.stamps[moves], (o.compared - torque / c["gain"][0])[moves]
 
 
 def simulate_arm(

@@ -145,8 +145,10 @@ def common_factors(
     of_link = {link: np.array(prior.links) == link for link in links}
 
     def candidates() -> Iterator[tuple[Departure, float]]:
-        yield Departure("effort"), _ODDS
-        yield from ((Departure("effort", name), _ODDS / len(names)) for name in names)
+        known = [name for name in names if not models[name].chain.gain]
+        if len(known) == len(names):
+            yield Departure("effort"), _ODDS
+        yield from ((Departure("effort", name), _ODDS / len(names)) for name in known)
         if any(bodies.gravity):
             yield Departure("gravity"), _ODDS
         if not payload:

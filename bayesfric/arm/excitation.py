@@ -33,8 +33,8 @@ from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
 
 # Numbers of a joint, and those that can be wanted.
-_KEYS = tuple(NUMBERS)
-TERMS = tuple(key for key, number in NUMBERS.items() if number.title)
+_KEYS = tuple(key for key in NUMBERS if key != "gain")  # which is taken as exact
+TERMS = tuple(key for key in _KEYS if NUMBERS[key].title)
 _HARMONICS = 5  # of the series
 # Samples a second of the arrays, and points a second that a controller interpolates.
 _RATE, _POINT_RATE = 100, 20
@@ -153,6 +153,8 @@ def next_motion(
     It stays between positions where the arm has been, and within the URDF's limits. ``wanted`` are
     numbers such as ``"elbow_joint.load"``, by default all.
     """
+    if arm.bodies.motors is not None:
+        raise BadInput("--advise", "has no limits of coupled joints", "leave it out")
     z, prior = arm.consistency.draws, arm.prior
     present = replace(
         prior,

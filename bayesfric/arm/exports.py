@@ -64,7 +64,9 @@ def files_of(arm: FittedArm) -> dict[str, str]:
     files = {
         name: written_urdf(arm.urdf, identified),
         "ros2_control.yaml": rendered("ros2_control.yaml", identified),
-        "feedforward.py": rendered("feedforward.py", mean, urdf=name, gravity=gravity),
+        "feedforward.py": rendered(
+            "feedforward.py", mean, urdf=name, gravity=gravity, motors=arm.bodies.motors
+        ),
     }
     if find_spec("mujoco"):
         typical = {name: x.urdf["torque_rms"] for name, x in arm.joints.items() if x.urdf}
@@ -98,6 +100,8 @@ def _identified(arm: FittedArm) -> Identified:
             remarks.append(f"{name}: mean of both directions: {listed(directional)}")
         if joint.result is not None and (terms := joint.result.summary.taken):
             remarks.append(f"{name}: not written here: {listed([t.kind for t in terms])}")
+    if arm.bodies.motors is not None:
+        remarks.append("Numbers of coupled joints are those of their motors: see feedforward.py.")
     links = dict(zip(arm.bodies.links, bodies.reshape(-1, PER_BODY), strict=True))
     joints = {name: x.numbers() for name, x in arm.joints.items()}
     return Identified(joints, links, remarks, linear)
@@ -111,7 +115,7 @@ def rendered(name: str, arm: Identified, **values: Any) -> str:
         joints=arm.joints,
         remarks=[" ".join(remark.split()) for remark in arm.remarks],
         linear=arm.linear,
-        **{"gravity": _GRAVITY, **values},
+        **{"gravity": _GRAVITY, "motors": None, **values},
     )
 
 

@@ -11,13 +11,14 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.common_factors import CommonFactors
@@ -57,6 +58,8 @@ class FittedJoint:
     result: Result | None = None
     failure: str = ""
     remarks: tuple[str, ...] = ()
+    is_coupled: bool = False  # by its data, while no option says so
+    is_loaded: bool = True  # whether the log resolves its rigid-body torque
     # torque_rms of the bodies on this motion, N m or N, and doubt_rms, the prior sd of that
     urdf: Mapping[str, float] = field(default_factory=dict)
     # by all joints: numbers, predictions of held-out logs, and the p-value under the other joints
@@ -204,7 +207,7 @@ class FittedJoint:
         of_fit = (x for x in messages_of(self.result.summary) if x.kind != "held out")
         briefs = list(dict.fromkeys(message.brief for message in of_fit if message.brief))
         more = len(briefs) - FINDINGS
-        return lines + briefs[:FINDINGS] + [f"{more} more findings: its report"] * (more > 0)
+        return lines + briefs[:FINDINGS] + [f"further findings: {more}, in its report"] * (more > 0)
 
     def as_json(self) -> dict[str, Any]:
         """Give its numbers."""
@@ -242,7 +245,8 @@ class FittedArm:
     prior: InertialPrior
     consistency: JointConsistency
     factors: CommonFactors
-    assumed: str = ""  # about units that the log does not have
+    assumed: str = ""  # about columns and units that the log does not name
+    late: ArmDelay | None = None  # of the efforts; None where it is known
 
     @classmethod
     def combined(
@@ -254,6 +258,7 @@ class FittedArm:
         seed: int | None,
         factors: CommonFactors,
         assumed: str = "",
+        late: ArmDelay | None = None,
     ) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
         rng, updated = np.random.default_rng(seed), dict(joints)
@@ -262,7 +267,7 @@ class FittedArm:
         consistency = combine_joints(prior, likelihoods, rng)
         for name, joint in fitted.items():
             updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed)
+        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed, late)
 
     @property
     def urdf(self) -> Path:
@@ -335,8 +340,10 @@ class FittedArm:
     @property
     def reliable(self) -> bool:
         """Whether no joint warns of its numbers, as one that contradicts the others does."""
-        joints = self.fitted.values()
-        return all(x.agrees and x.fitted.summary.sampler.status == "reliable" for x in joints)
+        return all(
+            x.agrees and not x.is_coupled and x.fitted.summary.sampler.status == "reliable"
+            for x in self.fitted.values()
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Give the content of ``arm.json``."""
@@ -346,6 +353,7 @@ class FittedArm:
             "logs": [str(log.path) for log in self.logs],
             "assumed": self.assumed,
             "samples": self.samples,
+            "delay": self.late and asdict(self.late),
             "bodies": self.inertial_estimate,
             "joints": {name: joint.as_json() for name, joint in self.joints.items()},
         }
@@ -358,7 +366,8 @@ class FittedArm:
         unidentified = list[str]()
         for name, joint in self.fitted.items():
             for title, row in joint.cells.items():
-                if row is not None and row.reported.status == "unidentified":
+                unloaded = title == NUMBERS["load"].title and not joint.is_loaded
+                if unloaded or (row is not None and row.reported.status == "unidentified"):
                     unidentified.append(f"{name} {title}")
                 elif row is not None:
                     table.append(printed_row(f"{name} {title}", row.reported, row.unit, row.level))
@@ -382,8 +391,9 @@ class FittedArm:
         for joint in self.fitted.values():
             joint.fitted.write(folder / joint.folder, draws=None if full else 300)
         record = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
+        columns = [x for x in COLUMNS if any(joint.cells[x] for joint in self.joints.values())]
         page = render(
-            "arm.html.j2", title=folder.name, arm=self, columns=COLUMNS, cell=_cell, full=full,
+            "arm.html.j2", title=folder.name, arm=self, columns=columns, cell=_cell, full=full,
             version=__version__,
         )  # fmt: skip
         files = {"arm.json": f"{record}\n", "arm.html": page}

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
+from bayesfric.arm.arm_options import Coupling, Payload, Uncertainty, Vector
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.safe_read import read_text
 from bayesfric.estimates.autoregression import long_run_variance
@@ -91,10 +91,11 @@ class Bodies:
     """The rigid bodies of a URDF whose root is fixed.
 
     ``joints`` are those that move and mimic none, by name; ``links`` the names of the bodies.
-    ``gravity`` is in the frame of the root, m/s².
+    ``gravity`` is in the frame of the root, m/s². Motion and torques are those of the joints, or,
+    of joints with a ``coupling``, of their motors.
     """
 
-    def __init__(self, path: Path, gravity: Vector) -> None:
+    def __init__(self, path: Path, gravity: Vector, coupling: Coupling | None = None) -> None:
         all_joints = _joints(path)
         try:
             with warnings.catch_warnings():
@@ -126,6 +127,14 @@ class Bodies:
             at = model.getJoint(model.getJointIndex(name)).getDOFsOffset()
             source, multiplier, self._offset[at] = _followed(path, all_joints, name)
             self._map[at, order.index(source)] = multiplier
+        for name in coupling.joints if coupling else ():
+            if name not in order:
+                problem = f"there is no joint {name!r}"
+                raise BadInput("coupling.joints", problem, nearest(name, order))
+        # positions of the motors per positions of the joints, where some are coupled
+        self.motors = coupling.motors(order) if coupling and coupling.joints else None
+        if self.motors is not None:
+            self._map = self._map @ np.linalg.inv(self.motors)
 
     def under(self, gravity: Vector) -> Bodies:
         """Return the same bodies under another gravity."""
@@ -153,7 +162,7 @@ class Bodies:
                     name_of = f"centre of {name}, {axis}"
                     rows.append((name_of, uncertainty.centre, "m", k, mass * change))
         k, centre, mass_sd = self.links.index(link), np.array(payload.centre), payload.mass_sd
-        moment_sd = mass_sd * payload.centre_sd
+        moment_sd = (payload.mass + mass_sd) * payload.centre_sd
         rows.append((f"payload of {link}", mass_sd, "kg", k, _point_mass(centre)))
         for axis, change in _centre_shifts(centre).items():
             rows.append((f"moment of the payload, {axis}", moment_sd, "kg m", k, change))

@@ -142,7 +142,7 @@ def _log_configuration(
         f"{channel}.{key}": value
         for channel, keys in channels.items()
         for key, value in keys.items()
-        if OPEN in value
+        if OPEN in str(value)
     }
     if "time" not in channels:
         open_keys["rate"] = f"{OPEN} kHz"
@@ -170,7 +170,7 @@ def _log_configuration(
 
 def _columns(table: Table, log: Log) -> Iterator[dict[str, Any]]:
     """Describe every column: unit, range, holes, what it is taken as, or else why it is not."""
-    channels = {column: (channel, unit) for channel, (column, unit) in log.chosen.items()}
+    channels = {str(column): (channel, unit) for channel, (column, unit) in log.chosen.items()}
     stamped = {clock: name for name, clock in table.clocks.items()}
     for number, name in enumerate(table.names, start=1):
         written = table.units[number - 1] if table.units else ""
@@ -299,17 +299,19 @@ def _others(preset: str) -> list[str]:
     return sorted({*PRESETS} - {preset}, key=lambda name: (PRESETS[name].chain().ratio, name))
 
 
-def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
+def _channels(log: Log, geared: bool) -> dict[str, dict[str, str | int]]:
     """Return the keys of every channel; torque always, and position if there is no velocity."""
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
-    channels = {}
+    channels = dict[str, dict[str, str | int]]()
     for channel in ("time", "position", "velocity", drive):
         column, unit = log.chosen.get(channel, (OPEN, ""))
         required = channel == drive or (channel == "position" and "velocity" not in log.chosen)
-        if column != OPEN or required:
-            side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
-            keys = {"column": column, "unit": unit or OPEN}
-            channels[channel] = keys | side | _CONSTANTS.get(channel, {})
+        if column != OPEN or required or (channel == "time" and channel in log.chosen):
+            channels[channel] = {"column": column, "unit": unit or OPEN}
+            if geared and channel in ("position", "velocity"):
+                channels[channel]["side"] = "motor"
+            channels[channel] |= dict([log.decoding[channel]]) if channel in log.decoding else {}
+            channels[channel] |= _CONSTANTS.get(channel, {})
     return channels
 
 

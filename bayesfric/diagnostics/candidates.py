@@ -14,9 +14,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from bayesfric.diagnostics.motion import ORDER, MotionSignals, deflection, in_gap
 from bayesfric.diagnostics.statistics import DELAYS, Key
@@ -276,6 +276,8 @@ BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
     """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
+        if kind.of_recording and motion.chain.by_target and kind.name != "torque_constant":
+            continue  # nothing was recorded of a torque
         size = 0.0 if kind.of_position and motion.recording.integrated else 1.0
         for shape, columns in kind.shapes(motion).items():
             for number, column in enumerate(columns):
@@ -316,17 +318,14 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
 
 
 def filtered_columns(
-    o: Signals, columns: Iterable[tuple[Key, Array]], at_once: int = 8
+    o: Signals, columns: Iterable[tuple[Key, Array]], dtype: DTypeLike = np.float64
 ) -> tuple[list[Key], Array]:
-    """Filter columns ``(N,)`` by key, a cache line of them at once; those of zeros stay zero."""
-    keys, blocks, waiting = [], [], iter(columns)
-    while batch := list(islice(waiting, at_once)):
-        keys += [key for key, _ in batch]
-        block = np.zeros((o.filter.n_outputs, len(batch)))
-        nonzero = [i for i, (_, column) in enumerate(batch) if column.any()]
-        if nonzero:
-            raw = np.stack([batch[i][1] for i in nonzero], axis=1)
-            raw[~np.isfinite(raw)] = 0.0
-            block[:, nonzero] = o.filter.apply(raw.T).T
-        blocks.append(block)
-    return keys, np.concatenate(blocks, axis=1)
+    """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous; not finite counts as zero."""
+    keys, rows = [], []
+    for key, column in columns:
+        row = o.filter.apply(column)
+        if not np.isfinite(row).all():
+            row = o.filter.apply(np.where(np.isfinite(column), column, 0.0))
+        keys.append(key)
+        rows.append(row.astype(dtype))
+    return keys, np.array(rows).T

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy import fft
 
 from bayesfric.mechanism.inverse import inverse_torque
@@ -21,7 +22,7 @@ from bayesfric.recordings.signals import Signals
 
 # Terms of the load that a transmission carries, without friction.
 _WEIGHTS = frozenset({"first_moment", "spring", "spring_cubic"})
-_CARRIED = _WEIGHTS | {"inertia", "gravity_angle", "gain"}
+_CARRIED = _WEIGHTS | {"inertia", "gravity_angle", "gain", "kp"}
 # Cycles of cogging per turn.
 TURNS = {
     f"{k} a turn of the {side}": (k, side)
@@ -136,8 +137,17 @@ class MotionSignals:
     @cached_property
     def waves(self) -> dict[str, tuple[Array, Array]]:
         """Sine and cosine of the position in turns of motor and joint."""
-        angles = {name: k * self.o.q for name, k in self.scales.cycles.items()}
-        return {name: (np.sin(angle), np.cos(angle)) for name, angle in angles.items()}
+        phasors: dict[tuple[int, str], NDArray[np.complex128]] = {}
+        for name, cycles in self.scales.cycles.items():
+            k, side = TURNS[name]
+            # products take a tenth of the time of sines
+            known = (j for j, of in phasors if of == side and (k - j, side) in phasors)
+            if j := next(known, None):
+                phasors[k, side] = phasors[j, side] * phasors[k - j, side]
+            else:
+                phasors[k, side] = np.exp(1j * cycles * self.o.q)
+        pairs = zip(self.scales.cycles, phasors.values(), strict=True)
+        return {name: (phasor.imag, phasor.real) for name, phasor in pairs}
 
     @cached_property
     def direction(self) -> Array:
@@ -158,7 +168,8 @@ class MotionSignals:
     def regressors(self) -> Sequence[Array]:
         """Acceleration, sign of the speed, speed, and unit gravity and springs."""
         chain, still = self.chain, replace(self.o, qdd=np.zeros_like(self.o.q))
-        sizes = np.eye(len(chain.names))
+        gains = [p.quantity in ("gain", "kp") for p in chain.parameters]  # which divide
+        sizes = np.where(gains, self.values, np.eye(len(chain.names)))
         indices = [i for i, p in enumerate(chain.parameters) if p.quantity in _WEIGHTS]
         weights = (_torque(chain, sizes[i], still) for i in indices)
         return self.o.qdd, self.direction, self.o.qd, *weights
@@ -244,7 +255,8 @@ def deflection(q, reach):  # type: ignore[no-untyped-def]
     Exact between samples. P. R. Dahl, "A solid friction model", The Aerospace Corporation,
     TOR-0158(3107-18)-1 (1968).
     """
-    z = np.zeros(q.size)
+    z = np.empty(q.size)
+    z[0] = 0.0
     for i in range(1, q.size):
         x = (q[i] - q[i - 1]) / reach
         side = 1.0 if x > 0.0 else -1.0
@@ -278,7 +290,9 @@ def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
 
     It flies freely from where its acceleration ``need`` changes sign until it meets the other side.
     """
-    out = np.zeros(need.size)
+    out = np.empty(need.size)
+    for i in range(need.size):
+        out[i] = 0.0
     for a, b in segments:
         side = 1.0 if need[a] > 0.0 else -1.0
         x, v, flying = side * half, 0.0, False
@@ -310,7 +324,9 @@ def resonating(
         part = x[a:b]
         part = part - np.linspace(part[0], part[-1], part.size)
         size = fft.next_fast_len(2 * part.size, real=True)
-        f = fft.rfftfreq(size, period) / np.asarray(hertz)[:, None]
-        response = 1.0 / (1.0 - f**2 + 2j * damping * f) - 1.0
-        out[:, a:b] = fft.irfft(response * fft.rfft(part, size), size)[:, : part.size]
+        f, spectrum = fft.rfftfreq(size, period), fft.rfft(part, size)
+        for row, resonance in zip(out, hertz, strict=True):
+            r = f / resonance
+            response = 1.0 / (1.0 - r**2 + 2j * damping * r) - 1.0
+            row[a:b] = fft.irfft(response * spectrum, size)[: part.size]
     return out

@@ -16,11 +16,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from tempfile import TemporaryFile
+from typing import IO, Any, Literal
+from weakref import finalize
 
 import numpy as np
+from numpy.typing import DTypeLike
 from scipy.special import ndtri
 
 from bayesfric.diagnostics.candidates import (
@@ -54,6 +57,7 @@ from bayesfric.diagnostics.statistics import (
     least_outputs,
     mean_square,
     project_out,
+    projected_moments,
     score_candidates,
     sinusoid_columns,
     standard_normal_scores,
@@ -77,6 +81,14 @@ Severity = Literal["note", "doubt"]
 _STEP = 1e-6
 # Gain by which a candidate is better than another: a factor of 150 in likelihood.
 _BETTER = 10.0
+# Cosine from which two effects are collinear: a tenth of the variance of either is its own.
+COLLINEAR = 0.95
+
+
+def _contains(directions: Array, vector: Array) -> bool:
+    """Whether directions ``(d, k)``, of those that data determine, hold a vector ``(d,)``."""
+    projected = directions.T @ vector
+    return bool(projected @ projected > 0.999 * (vector @ vector))
 
 
 @dataclass(frozen=True)
@@ -128,6 +140,42 @@ class Finding:
         return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
+class StoredColumns:
+    """Columns of replicates; those of candidates are in temporary files, which are read one by one.
+
+    They would take most of a fit's memory.
+    """
+
+    def __init__(self, replicates: Iterable[Columns] = ()) -> None:
+        self.parts: list[Columns] = []  # without candidates
+        self._files: list[IO[bytes]] = []
+        for replicate in replicates:
+            self.append(replicate)
+
+    def append(self, replicate: Columns) -> None:
+        """Store another replicate."""
+        file = TemporaryFile()  # noqa: SIM115 - closed with this object
+        finalize(self, file.close)
+        self.parts.append(replicate)
+        self._files.append(file)
+        self[-1] = replicate
+
+    def __setitem__(self, i: int, replicate: Columns) -> None:
+        self._files[i].seek(0)
+        np.save(self._files[i], replicate.others)
+        self.parts[i] = replace(replicate, others=np.empty((replicate.residual.size, 0)))
+
+    def __getitem__(self, i: int) -> Columns:
+        self._files[i].seek(0)
+        return replace(self.parts[i], others=np.load(self._files[i]))
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def __iter__(self) -> Iterator[Columns]:
+        return map(self.__getitem__, range(len(self)))
+
+
 # A simulated recording with known parameters and no torque noise: the true parameters
 # (n_parameters,), and columns without candidates, whose residual is the error of encoder and
 # filters.
@@ -139,7 +187,7 @@ class Regression:
     """Forward selection of effects in a residual, tested against replicates of a right model."""
 
     data: Columns  # of the recordings
-    replicates: list[Columns]  # noise is added to their residuals
+    replicates: StoredColumns  # noise is added to their residuals
     scales: Scales
     sizes: Array  # (d,) scale of each parameter
     gradients: Mapping[str, Array]  # (d,) derivatives of each reported quantity by the parameters
@@ -150,7 +198,7 @@ class Regression:
 
     def __post_init__(self) -> None:
         self.groups = candidate_groups(self.data)
-        self._clean = [replicate.residual for replicate in self.replicates]
+        self._clean = [replicate.residual for replicate in self.replicates.parts]
         self._choose_noise()
 
     # Noise
@@ -172,7 +220,7 @@ class Regression:
             if bic < best:
                 best, self.noise, chosen = bic, noise, extra
         self._add_noise(self.noise, chosen)
-        for i, replicate in enumerate(self.replicates):  # in place: they take most of the memory
+        for i, replicate in enumerate(self.replicates):
             self.replicates[i] = replicate.with_noise(self._noise_of(replicate, chosen))
 
     def _noise_of(self, d: Columns, extra: Sequence[int]) -> Autocorrelation:
@@ -182,17 +230,20 @@ class Regression:
 
     def _add_noise(self, noise: Autocorrelation, extra: Sequence[int]) -> None:
         """Add noise so that the replicates' residual is as large as the recording's."""
-        clean = [replace(t, residual=x) for t, x in zip(self.replicates, self._clean, strict=True)]
-        parameters = self.sizes.size + len(extra)
-        sensor_power, total = (
-            float(np.mean([mean_square(d.residual_with(extra), parameters) for d in group]))
-            for group in (clean, [self.data])
-        )
+        parts, parameters = self.replicates.parts, self.sizes.size + len(extra)
+
+        def power(d: Columns) -> float:
+            return mean_square(d.residual_with(extra), parameters)
+
+        loaded = zip(self.replicates if extra else parts, self._clean, strict=True)
+        sensor_power = float(np.mean([power(replace(d, residual=x)) for d, x in loaded]))
+        total = power(self.data)
         noise_share = max(1.0 - sensor_power / max(total, 1e-300), 0.1)
         sd = math.sqrt(total * noise_share / noise.variance(self.data.layout))
         rng = np.random.default_rng(self.noise_seed)
-        self.replicates[:] = [
-            replace(t, residual=t.residual + sd * noise.drawn(t.layout, rng)) for t in clean
+        parts[:] = [
+            replace(d, residual=x + sd * noise.drawn(d.layout, rng))
+            for d, x in zip(parts, self._clean, strict=True)
         ]
 
     # Ranking
@@ -306,22 +357,26 @@ class Regression:
     def _fitted(self, effect: Finding, extra: Sequence[int], worth: Array) -> Finding:
         """Fit a selected candidate: its share and place, shifts of parameters, collinear kinds."""
         d, split, scan = self.sizes.size, self.sizes.size + len(extra), effect.scan
-        before, *_ = self._fit(extra)
-        after, covariance, determined = self._fit([*extra, *effect.columns])
-        shift, moves = after[:d] - before[:d], {}
+        before, _, determined = self._fit(extra)
+        after, covariance, remaining = self._fit([*extra, *effect.columns])
+        shift, moves, own = after[:d] - before[:d], {}, list[str]()
         for name, gradient in self.gradients.items():
-            scaled = gradient * self.sizes
-            projected = determined[:d].T @ scaled
-            # of identified directions alone
-            if projected @ projected > 0.999 * (scaled @ scaled):
+            scaled, collinear = gradient * self.sizes, True
+            if _contains(remaining[:d], scaled):
                 variance = float(gradient @ covariance[:d, :d] @ gradient)
                 moves[name] = float(gradient @ shift) / math.sqrt(variance)
+                most = COLLINEAR * np.sqrt(variance * covariance.diagonal()[split:])
+                collinear = bool(np.all(np.abs(gradient @ covariance[:d, split:]) > most))
+            # a parameter that a delay replaces is its rival: neither is then known
+            if effect.kind == DELAYS[False] and collinear and _contains(determined[:d], scaled):
+                own.append(name.rpartition(".")[2])
         # effect in one recording alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(effect.shape, "")
         span = None
         if scan is not None and scan.kind == TRANSIENT:
             recording, reach = self.scales.names[scan.recording], 2.0 * self.scales.transient_width
             span = scan.place - reach, scan.place + reach
+        rivals = self._collinear(effect, extra, worth) if effect.significant else ()
         return replace(
             effect,
             share=self._share(effect.columns, after[split:]),
@@ -329,7 +384,7 @@ class Regression:
             span=span,
             coefficients=after[split:],
             moves=moves,
-            rivals=tuple(self._collinear(effect, extra, worth)) if effect.significant else (),
+            rivals=tuple(dict.fromkeys([*filter(BY_NAME.get, own), *rivals])),
         )
 
     def _fit(self, columns: Sequence[int]) -> tuple[Array, Array, Array]:
@@ -342,13 +397,7 @@ class Regression:
         torque = self.data.others[:, columns] @ coefficients
         return rms(torque) / self.scales.torque
 
-    def _collinear(
-        self,
-        effect: Finding,
-        extra: Sequence[int],
-        worth: Array,
-        collinear_from: float = 0.95,
-    ) -> Iterator[str]:
+    def _collinear(self, effect: Finding, extra: Sequence[int], worth: Array) -> Iterator[str]:
         """List other kinds that explain as much or are collinear; none for disturbances."""
         if effect.kind in (SINUSOID, TRANSIENT):
             return
@@ -364,7 +413,7 @@ class Regression:
             if key.kind in yielded or BY_NAME[key.kind].of_recording:
                 continue
             cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
-            collinear = cosines.size > 0 and float(cosines.min()) > collinear_from
+            collinear = cosines.size > 0 and float(cosines.min()) > COLLINEAR
             if gain > best - _BETTER or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind
@@ -405,7 +454,7 @@ class Regression:
             keys = (Key(scan.kind, self._scan_shape(scan), i) for i in range(columns.shape[1]))
             if d.others_whitened:
                 columns = d.autocorrelation.whitened(columns, d.layout)
-            others = np.column_stack([d.others, columns.astype(d.others.dtype)])
+            others = np.vstack([d.others.T, columns.T.astype(d.others.dtype)]).T
             return replace(d, others=others, keys=(*d.keys, *keys))
 
         self.data = extended(self.data)
@@ -430,10 +479,8 @@ class Regression:
         largest, highest = np.where(losses, self.scales.lost, self.scales.torque), self.data.others
         highest = np.abs(highest).max(axis=0)
         size = np.divide(largest, highest, out=np.zeros_like(highest), where=highest > 0.0)
-        columns, white = self.data.others * size, d.others * size
-        remainder = project_out(base, project_out(base, white))
-        residual = project_out(base, d.residual)
-        unit, total = np.linalg.norm(remainder, axis=0), np.linalg.norm(white, axis=0)
+        columns, residual = self.data.others * size, project_out(base, d.residual)
+        cross, slopes, total, unit = projected_moments(base, d.others, residual)
         identified = unit > TESTABLE * total
         groups = [(k.kind, tuple(i)) for k, i in self.groups if not BY_NAME[k.kind].least]
         groups += [(e.kind, tuple(e.columns)) for e in self.included if e.scan is not None]
@@ -443,7 +490,7 @@ class Regression:
         for kind, members in groups:
             if identified[list(members)].all():
                 kinds[kind] = (*kinds.get(kind, ()), members)
-        scored = [unit_scores(replicate.whitened, size) for replicate in self.replicates]
+        scored = [unit_scores(replicate.whitened) for replicate in self.replicates]
         scores, sds = zip(*scored, strict=True)
         mean, sd = np.mean(scores, axis=0), float(np.mean(sds))
         spread, bias = np.std(scores, axis=0, ddof=1) / sd, mean / sd
@@ -454,8 +501,8 @@ class Regression:
             observations=tuple(observations),
             columns=columns,
             kinds=kinds,
-            gram=remainder.T @ remainder,
-            scores=remainder.T @ residual - mean * unit,
+            gram=(d.others.T @ d.others - cross.T @ cross) * np.outer(size, size),
+            scores=(slopes - mean * unit) * size,
             column_errors=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
             power=float(residual @ residual),
             spread=np.hypot(np.maximum(spread, 1.0), MEAN_AS_SPREAD * bias),
@@ -478,12 +525,14 @@ def regression_of(
     scales, sizes = scales_of(chain, values, observations), np.maximum(np.abs(values), 1e-12)
     free = np.array([name not in known for name in chain.names])
 
-    def columns_at(vector: Array, observed: Sequence[Signals]) -> Columns:
+    def columns_at(
+        vector: Array, observed: Sequence[Signals], dtype: DTypeLike = np.float64
+    ) -> Columns:
         """Compute the model's and the candidates' columns."""
         blocks = []
         for o, r in zip(observed, recordings, strict=True):
             along = columns_along(MotionSignals(chain, vector, o, r, scales))
-            keys, block = filtered_columns(o, along)
+            keys, block = filtered_columns(o, along, dtype)
             blocks.append(block)
         steps = free * _STEP * np.maximum(np.abs(vector), 1.0)
         base = torque_jacobian(chain, observed, vector, steps)
@@ -501,17 +550,13 @@ def regression_of(
         replicates(chain, vectors, r, o, processing, stream.spawn(number))
         for r, o, stream in streams
     ]
-    simulated, columns = [], []
+    simulated, columns = [], StoredColumns()
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
         if len(usable) == len(repeated) and outputs >= len(chain.names) + least_outputs(usable):
-            d = columns_at(vector, usable)
-            alone = replace(d, others=np.empty((outputs, 0)), keys=())
-            simulated.append((vector, alone))
-            # in single precision: these columns take most of a fit's memory
-            single: Any = d.others.astype(np.float32)
-            columns.append(replace(d, others=single))
+            columns.append(columns_at(vector, usable, np.float32))
+            simulated.append((vector, columns.parts[-1]))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")
     gradients = {

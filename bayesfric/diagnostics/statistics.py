@@ -82,6 +82,11 @@ class Layout:
         return np.split(x, np.cumsum([a.size for a in self.at])[:-1])
 
     @cached_property
+    def timed(self) -> bool:
+        """Whether any output follows another; points at constant speeds are in any order."""
+        return any(flags.any() for flags in self.runs)
+
+    @cached_property
     def outputs(self) -> int:
         """Number of outputs."""
         return sum(a.size for a in self.at)
@@ -107,9 +112,8 @@ class Layout:
         number = np.repeat(np.arange(len(self.at)), [a.size for a in self.at])
         return [(number == k).astype(np.float64) for k in range(len(self.at))]
 
-    @cached_property
     def drift_cosines(self) -> list[Array]:
-        """Cosines ``(M, K)`` of each recording, ``cos(pi k (t - t0) / S) / sqrt(k)``, S its span.
+        """Make cosines ``(M, K)`` a recording, ``cos(pi k (t - t0) / S) / sqrt(k)``, S its span.
 
         With independent normal coefficients of equal variance they are 1/f noise of up to 1 Hz. One
         for eight outputs at most, and sixty.
@@ -132,21 +136,26 @@ class Autocorrelation:
     drift: float = 0.0  # standard deviation of its slowest cosine over the innovations'
 
     def whitened(self, x: Array, layout: Layout) -> Array:
-        """Whiten columns ``(n, m)``.
+        """Whiten columns ``(n, m)``, a few at once.
 
         With W the whitened cosines times their size, the drift is whitened by ``(I + W
         W')^(-1/2)``, which is ``I - W (R + R^2)^-1 W'`` with ``R = (I + W' W)^(1/2)``.
         """
-        out, innovations = [], ar.across_gaps(self.partial)
-        for part, at, cosines in zip(layout.split(x), layout.at, layout.drift_cosines, strict=True):
-            white = innovations(part, at)[0]
+        out, innovations = np.empty_like(x), ar.across_gaps(self.partial)
+        cosines = layout.drift_cosines() if self.drift else [np.empty((0, 0))] * len(layout.at)
+        for part, into, at, waves in zip(
+            layout.split(x), layout.split(out), layout.at, cosines, strict=True
+        ):
             if self.drift:
-                wave = innovations(cosines, at)[0] * self.drift
+                wave = innovations(waves, at)[0] * self.drift
                 size, vectors = np.linalg.eigh(wave.T @ wave)
                 root, turned = np.sqrt(1.0 + size)[:, None], wave @ vectors
-                white = white - turned @ ((turned.T @ white) / (root + root**2))
-            out.append(white)
-        return np.concatenate(out)
+            for columns in blocks(x.shape[1]):
+                white = innovations(part[:, columns].astype(np.float64), at)[0]
+                if self.drift:
+                    white = white - turned @ ((turned.T @ white) / (root + root**2))
+                into[:, columns] = white
+        return out
 
     def drawn(self, layout: Layout, rng: np.random.Generator) -> Array:
         """Draw one series ``(n,)`` with unit innovations."""
@@ -156,17 +165,17 @@ class Autocorrelation:
             parts.append(ar.simulated(self.partial, joined, 1, rng)[0][at])
         x = np.concatenate(parts)
         if self.drift:
-            series = [
-                cosines @ rng.standard_normal(cosines.shape[1]) for cosines in layout.drift_cosines
-            ]
-            x = x + self.drift * np.concatenate(series)
+            drifts = [x @ rng.standard_normal(x.shape[1]) for x in layout.drift_cosines()]
+            x = x + self.drift * np.concatenate(drifts)
         return x
 
     def variance(self, layout: Layout) -> float:
         """Mean variance of an output over the innovations' variance."""
-        drift = sum(float((cosines**2).sum()) for cosines in layout.drift_cosines)
         variance = float(ar.variances(self.partial[None])[0][0])
-        return variance + self.drift**2 * drift / layout.outputs
+        if self.drift:
+            power = sum(float((cosines**2).sum()) for cosines in layout.drift_cosines())
+            variance += self.drift**2 * power / layout.outputs
+        return variance
 
 
 WHITE = Autocorrelation(np.zeros(0))
@@ -185,16 +194,16 @@ def choose_autocorrelation(
     sizes are compared by the exact density, ``n log(variance) + log det + p log(n)`` (Schwarz,
     Annals of Statistics 6 (1978) 461-464).
     """
-    n, best, least = left.size, WHITE, math.inf
+    n, best, least, cosines = left.size, WHITE, math.inf, layout.drift_cosines()
     for size in sizes if n > 2 * outputs else sizes[:1]:
         rest = left
         if size:  # the order describes what the drift leaves
-            rest = left - _expected_drift(left, best.partial, size, layout)[0]
+            rest = left - _expected_drift(left, best.partial, size, layout, cosines)[0]
         order = min(6, n // outputs)
         partial = ar.burg(layout.split(rest), layout.runs, order)
         costs = n * np.cumsum(np.log1p(-(partial**2))) + np.arange(1, order + 1) * math.log(n)
         partial = partial[: int(np.argmin(np.append(0.0, costs)))]
-        _, power, cost = _expected_drift(left, partial, size, layout)
+        _, power, cost = _expected_drift(left, partial, size, layout, cosines)
         bic = n * math.log(max(power, 1e-300) / n) + cost + partial.size * math.log(n)
         if bic < least:
             least, best = bic, Autocorrelation(partial, size)
@@ -204,21 +213,21 @@ def choose_autocorrelation(
 
 
 def _expected_drift(
-    left: Array, partial: Array, size: float, layout: Layout
+    left: Array, partial: Array, size: float, layout: Layout, cosines: Sequence[Array]
 ) -> tuple[Array, float, float]:
     """Return the expected drift ``(n,)``, the power it leaves, and the log determinant.
 
     It is a ridge regression on whitened cosines.
     """
     drift, power, logs, innovations = [], 0.0, 0.0, ar.across_gaps(partial)
-    for part, at, cosines in zip(layout.split(left), layout.at, layout.drift_cosines, strict=True):
-        white, log = innovations(np.column_stack([cosines * size, part] if size else [part]), at)
+    for part, at, waves in zip(layout.split(left), layout.at, cosines, strict=True):
+        white, log = innovations(np.column_stack([waves * size, part] if size else [part]), at)
         wave, y = white[:, :-1], white[:, -1]
         inner = wave.T @ wave + np.eye(wave.shape[1])
         scores = wave.T @ y
         shares = np.linalg.solve(inner, scores)
         if size:
-            drift.append(size * (cosines @ shares))
+            drift.append(size * (waves @ shares))
         power += float(y @ y - scores @ shares)
         logs += log + float(np.linalg.slogdet(inner)[1])
     return np.concatenate(drift or [left]), power, logs
@@ -250,7 +259,7 @@ def sinusoidal_disturbance(y: Array, layout: Layout) -> Scan:
     rows = np.bincount(places, y, len(layout.at) * size).reshape(-1, size)
     power = (np.abs(np.fft.rfft(rows)) ** 2).sum(axis=0)
     f = np.fft.rfftfreq(size, step)
-    inside = (f >= 2.0 / span) & (f <= 0.45 / step)
+    inside = (f >= 2.0 / span) & (f <= 0.45 / step) & layout.timed
     power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))
     power = power / np.maximum(1.0 - power / y.size, 1e-6)
     i = int(np.argmax(power))
@@ -265,6 +274,8 @@ def transient_disturbance(y: Array, layout: Layout, width: float) -> Scan:
     best = Scan(TRANSIENT, 0.0, 0.0)
     variance = float(np.mean(y**2))
     for k, (t, x) in enumerate(zip(layout.stamps, layout.split(y), strict=True)):
+        if not layout.timed:
+            break
         centres = np.arange(t[0] + width, t[-1], width)
         first = np.searchsorted(t, centres - 1.5 * width)
         last = np.searchsorted(t, centres + 1.5 * width)
@@ -334,7 +345,8 @@ class Columns:
     """Filtered regression columns of one recording or replicate, or of several together."""
 
     base: Array  # (n, d) derivatives of the torque by the model's parameters
-    others: Array  # (n, m) columns of the candidates, of replicates in single precision
+    # (n, m) columns of the candidates, each contiguous; of replicates in single precision
+    others: Array
     residual: Array  # (n,) torque less the model's, N m or N
     layout: Layout
     keys: tuple[Key, ...]
@@ -349,14 +361,14 @@ class Columns:
         with_residual = np.column_stack([self.base, self.residual])
         white, others = self.autocorrelation.whitened(with_residual, self.layout), self.others
         if not self.others_whitened:
-            others = self.autocorrelation.whitened(others.astype(np.float64), self.layout)
+            others = self.autocorrelation.whitened(others, self.layout)
         base, residual = white[:, :-1], white[:, -1]
         return replace(self, base=base, others=others, residual=residual, autocorrelation=WHITE)
 
     def with_noise(self, noise: Autocorrelation) -> Columns:
-        """Whiten the candidates' columns in place: those of replicates take most of the memory."""
-        self.others[:] = noise.whitened(self.others.astype(np.float64), self.layout)
-        return replace(self, others_whitened=True, autocorrelation=noise)
+        """Whiten the candidates' columns once for all."""
+        others = noise.whitened(self.others, self.layout)
+        return replace(self, others=others, others_whitened=True, autocorrelation=noise)
 
     def with_candidates(self, extra: Sequence[int]) -> Array:
         """Append columns of candidates, by number, to the model's own: ``(n, d + k)``."""
@@ -419,6 +431,26 @@ def project_out(basis: Array, x: Array) -> Array:
     return np.asarray(x - basis @ (basis.T @ x))
 
 
+def blocks(count: int, size: int = 64) -> list[slice]:
+    """Split a number of columns into blocks, whose copies in double precision are small."""
+    return [slice(first, first + size) for first in range(0, count, size)]
+
+
+def projected_moments(basis: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+    """Return moments of columns ``(n, m)``, a few at once, and a residual ``(n,)`` without a basis.
+
+    ``basis'x`` ``(k, m)``, ``x'y`` ``(m,)``, and the columns' norms before and after the basis is
+    projected out. The residual is orthogonal to it.
+    """
+    cross, (scores, squares) = np.empty((basis.shape[1], x.shape[1])), np.empty((2, x.shape[1]))
+    for columns in blocks(x.shape[1]):
+        part = x[:, columns].astype(np.float64)
+        cross[:, columns], scores[columns] = basis.T @ part, y @ part
+        squares[columns] = np.einsum("ij,ij->j", part, part)
+    remaining = np.maximum(squares - (cross**2).sum(axis=0), 0.0)
+    return cross, scores, np.sqrt(squares), np.sqrt(remaining)
+
+
 def mean_square(x: Array, parameters: int = 0) -> float:
     """Return the variance of a residual ``(n,)`` after fitting a number of parameters."""
     return float(x @ x) / max(x.size - parameters, 1)
@@ -468,25 +500,26 @@ def score_candidates(
     white = d.whitened
     basis = basis_of(white.with_candidates(extra))
     y = project_out(basis, white.residual)
-    z = project_out(basis, white.others)
     free, power = y.size - basis.shape[1], float(y @ y)
-    has_delay = any(d.keys[i].delay for i in extra)
-    delay = _delayed(() if has_delay else d.keys, z, y, free)
-    size, remaining = (
-        np.sqrt(np.einsum("ij,ij->j", x, x, dtype=np.float64)) for x in (white.others, z)
-    )
+    cross, scores, size, remaining = projected_moments(basis, white.others, y)
     identified = remaining > TESTABLE * size
     unit = np.where(remaining > 0.0, remaining, 1.0)
-    slopes = (z.T @ y) / unit
+    slopes = scores / unit
+
+    def gram_of(members: Index) -> Array:
+        x, shares = white.others.T[members].astype(np.float64), cross[:, members]
+        return np.asarray(x @ x.T - shares.T @ shares)
+
+    has_delay = any(d.keys[i].delay for i in extra)
+    delay = _delayed(() if has_delay else d.keys, gram_of, scores, power, free)
     t_values = [np.full(len(members), np.nan) for _, members in groups]
     gains = np.zeros(len(groups))
-    columns = np.ascontiguousarray(z.T)
     for k in {len(members) for _, members in groups}:  # all of one size at once
         same_size = np.array([i for i, (_, members) in enumerate(groups) if len(members) == k])
         members = np.array([groups[i][1] for i in same_size])
         gram = np.ones((len(members), 1, 1))
         if k > 1:
-            gram = columns[members] @ columns[members].mT
+            gram = np.array([gram_of(group) for group in members])
             gram /= unit[members][:, :, None] * unit[members][:, None, :]
         least, axes = np.linalg.eigh(gram)
         solvable = identified[members].all(axis=1) & (least[:, 0] >= singular)
@@ -503,20 +536,25 @@ def score_candidates(
     return t_values, gains, scans
 
 
-def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
-    """Find the far delay with the smallest residual.
+def _delayed(
+    keys: Sequence[Key],
+    gram_of: Callable[[Index], Array],
+    scores: Array,
+    power: float,
+    free: int,
+) -> Scan:
+    """Find the far delay with the smallest residual, from moments of columns and residual.
 
     Its first column has coefficient one; only that of the torque's rate is fitted.
     """
     first = [i for i, key in enumerate(keys) if key.delay and key.number == 0]
     if not first:
         return Scan(DELAY, 0.0, 0.0)
-    rate = z[:, np.add(first, 1)]
-    residual = y[:, None] - z[:, first]
-    size = np.maximum(np.einsum("ij,ij->j", rate, rate), 1e-300)
-    residual = residual - rate * (np.einsum("ij,ij->j", rate, residual) / size)
-    power = float(y @ y)
-    remaining = np.maximum(np.einsum("ij,ij->j", residual, residual), 1e-12 * power)
+    change, rate = np.array(first), np.add(first, 1)
+    grams = np.array([gram_of(pair) for pair in np.transpose([change, rate])])
+    shifted = power - 2.0 * scores[change] + grams[:, 0, 0]
+    explained = (scores[rate] - grams[:, 0, 1]) ** 2 / np.maximum(grams[:, 1, 1], 1e-300)
+    remaining = np.maximum(shifted - explained, 1e-12 * power)
     gains = (power - remaining) / remaining * (free - 2)
     best = int(np.argmax(gains))
     return Scan(keys[first[0]].kind, max(float(gains[best]), 0.0), keys[first[best]].delay)
@@ -581,10 +619,11 @@ def _extreme(u: Array) -> Array:
     return np.asarray(-ndtri_exp(logs - math.log(2.0)))
 
 
-def unit_scores(d: Columns, size: Array) -> tuple[Array, float]:
+def unit_scores(d: Columns) -> tuple[Array, float]:
     """Return scores of unit columns of a whitened replicate, and the residual's sd."""
     base = basis_of(d.base)
-    remainder, residual = project_out(base, d.others * size), project_out(base, d.residual)
-    unit = np.linalg.norm(remainder, axis=0)
-    scores = remainder.T @ residual / np.where(unit > 0.0, unit, np.inf)
-    return np.asarray(scores), math.sqrt(mean_square(residual, base.shape[1]))
+    residual = project_out(base, d.residual)
+    _, scores, _, unit = projected_moments(base, d.others, residual)
+    return scores / np.where(unit > 0.0, unit, np.inf), math.sqrt(
+        mean_square(residual, base.shape[1])
+    )

@@ -168,12 +168,16 @@ def total_label(joint: Joint, name: str) -> str:
         if owner in ("drive", "target"):  # added to the torque as measured
             return name
         before = joint.elements[: places.index(owner)] if owner in places else joint.elements
-        scaled = joint.gain or any(e.load_loss != "none" for e in before)
+        scaled = joint.gain or joint.kp or any(e.load_loss != "none" for e in before)
         return f"total.{name}" if scaled else name
     kind = name.partition(".")[0]
     owners = [p for p in joint.parameters if kind in dict(_regressors_of(joint, p))]
     filling = [p for p in owners if p.name == name] if name.startswith("offset.") else owners
-    if len(filling) == 1 and filling[0].owner in (joint.elements[0].name, "") and not joint.gain:
+    if (
+        len(filling) == 1
+        and filling[0].owner in (joint.elements[0].name, "")
+        and not (joint.gain or joint.kp)
+    ):
         sole = filling[0].quantity == kind and (
             name == kind or len(owners) == len(joint.own_offsets)
         )
@@ -222,8 +226,8 @@ def starting_values(joint: Joint, totals: Estimate, mu: float, share: float) -> 
             values[p.name] = (
                 float(np.arctan2(sign * cosine, sign * sine)) if sine or cosine else 0.0
             )
-        elif p.quantity == "gain":
-            values[p.name] = 1.0 / gain if gain > 0 else 1.0
+        elif p.quantity in ("gain", "kp"):
+            values[p.name] = (joint.kp or 1.0) * (1.0 / gain if gain > 0 else 1.0)
         elif p.quantity == "offset":
             values[p.name] = total.get(p.name, 0.0)
         elif p.row.role == "own":
@@ -297,6 +301,7 @@ def typical_sizes(
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         position_step=min(o.position_step for o in observations),
+        period=max(float(np.median(np.diff(o.stamps))) for o in observations),
         columns={joint.names[c.index]: _rms_of(c, observations) for c in joint.carried},
     )
 

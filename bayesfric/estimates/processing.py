@@ -38,8 +38,8 @@ from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares, totals_regressors
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.estimates.torque import minimum_norm
-from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.kernels import inverse_many
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.checks import resting
 from bayesfric.recordings.filters import lowpass, lowpass_above
@@ -281,10 +281,12 @@ def fine_motion(
     speed, position = above(o.qd, end), above(o.q, end)
     step = float(np.std(o.qdd)) or 1.0
     inputs = with_motion(o, recording, o.q, o.qd, o.qdd).inputs
+    tables = joint.tables(np.atleast_2d(values), inputs)
     q, qd, qdd, handover = o.q, o.qd, o.qdd, 0.0
     for _ in range(4):  # each takes the direction of motion of the last
+        motion = joint.samples(q, qd, qdd, inputs, o.stamps)
         low, torque, high = (
-            inverse_torque(joint, values, q, qd, qdd + d, inputs=inputs, time=o.stamps)
+            inverse_many(*tables, motion._replace(acceleration=qdd + d))[0]
             for d in (-step, 0.0, step)
         )
         inertia, residual = (high - low) / (2.0 * step), o.compared - torque

@@ -21,6 +21,7 @@ from bayesfric.base.progress import (
     no_progress,
     progress_shown,
 )
+from bayesfric.diagnostics.closed_loop import explain_closed_loop
 from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
 from bayesfric.diagnostics.regression import Finding
 from bayesfric.diagnostics.statistics import MAX_EFFECTS
@@ -37,10 +38,17 @@ from bayesfric.fit.conclusion import StartingPoint, conclude, refuse_collinear_l
 from bayesfric.fit.saved_draws import flat_draws, read_draws, saved_fit
 from bayesfric.identifiability.identification import Identification, identify, speed_term
 from bayesfric.identifiability.local import estimate_point, local_information
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.discrepancy import discrepancy
-from bayesfric.inference.fitting import Fit, make_target, target_of
+from bayesfric.inference.fitting import (
+    ClosedLoopMode,
+    Fit,
+    closed_loop_mode,
+    make_target,
+    target_of,
+)
 from bayesfric.inference.fitting import fit as sample_posterior
-from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood import LikelihoodMethod, TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.posterior import predict_held_out
@@ -178,6 +186,11 @@ class Model:
         self.recordings, self.observations = fitted(parts)
         self.held_out = tuple(part for part in parts if part.held_out)
         self.references = references(config, self.chain, self.observations)
+
+    @property
+    def method(self) -> LikelihoodMethod:
+        """Of the likelihood: a target without a torque leaves no other than the closed loop's."""
+        return "closed-loop" if self.chain.by_target else self.config.tables.likelihood.method
 
     def alone(self, k: int) -> Self:
         """Return the same model with recording ``k`` alone."""
@@ -330,21 +343,38 @@ class Model:
             return self, (), self.explain()
         current = self._candidate(progress)
         while True:
-            remaining = model.explain([current.estimate], progress=progress)
+            if isinstance(current, ClosedLoopMode):
+                seed = self.config.tables.sampling.seed
+                remaining = explain_closed_loop(current.target, current.parameters, seed)
+            else:
+                remaining = model.explain([current.estimate], progress=progress)
             tried = {finding.hint for finding in included}
             candidates = [finding for finding in remaining.applicable if finding.hint not in tried]
             for finding in candidates[: MAX_EFFECTS - len(included)]:
                 if (trial := model._with_finding(finding)) is None:
                     continue
-                if predicts_better(candidate := trial._candidate(progress), current):
+                candidate = trial._candidate(progress)
+                if isinstance(current, ClosedLoopMode):
+                    assert isinstance(candidate, ClosedLoopMode)
+                    better = candidate.bic < current.bic
+                else:
+                    assert isinstance(candidate, FittedModel)
+                    better = predicts_better(candidate, current)
+                if better:
                     model, current = trial, candidate
                     included.append(finding)
                     break
             else:
                 return model, tuple(included), remaining
 
-    def _candidate(self, progress: ProgressCallback) -> FittedModel:
+    def _candidate(self, progress: ProgressCallback) -> FittedModel | ClosedLoopMode:
+        if self.method == "closed-loop":
+            return self._closed_loop_mode(progress)
         return FittedModel(self.evidence, self.estimates(["input-error"], progress=progress)[0])
+
+    def _closed_loop_mode(self, progress: ProgressCallback) -> ClosedLoopMode:
+        start, seed = self.starting_point(progress=progress), self.config.tables.sampling.seed
+        return closed_loop_mode(start.target, start.estimates, seed, progress)
 
     def _with_finding(self, finding: Finding) -> Self | None:
         """Add a finding's setting; ``None`` if it conflicts with the configuration."""
@@ -413,7 +443,11 @@ class Model:
         Load-dependent friction has its priors there: if the load never drives the motor, an
         estimate by the data alone ends at a gearbox that cannot be back-driven.
         """
-        method, evidence = self.config.tables.likelihood.method, self.evidence
+        if self.method == "closed-loop":
+            mode = self._closed_loop_mode(progress)
+            progress(Progress("identifiability"))
+            return mode.target, mode.parameters
+        method, evidence = self.method, self.evidence
         losses = {
             p.name: (prior.mean(), prior.sd())
             for p in self.chain.parameters
@@ -450,7 +484,13 @@ class Model:
             If the point is needed and not given.
         """
         tables, priors = self.config.tables, self.priors
-        if tables.likelihood.method == "input-error":
+        if self.method == "closed-loop":
+            if point is None:
+                raise ValueError("the closed-loop likelihood needs a point estimate")
+            likelihood: Likelihood = ClosedLoopLikelihood(
+                self.chain, self.recordings, self.observations, self.chain.vector(point)
+            )
+        elif self.method == "input-error":
             if point is None and choice is None and self._chooses_noise:
                 raise ValueError(
                     "the noise is chosen from the residuals of a point estimate: give one, or use "
@@ -458,7 +498,7 @@ class Model:
                 )
             choice = choice or self.noise_choice(point)
             noise, priors = self.with_noise(choice)
-            likelihood: Likelihood = TorqueLikelihood(self.chain, self.observations, noise)
+            likelihood = TorqueLikelihood(self.chain, self.observations, noise)
         elif point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
         else:
@@ -492,7 +532,7 @@ class Model:
     @property
     def _chooses_noise(self) -> bool:
         tables = self.config.tables
-        return tables.noise.model == "auto" and tables.likelihood.method == "input-error"
+        return tables.noise.model == "auto" and self.method == "input-error"
 
     def starting_point(
         self, *, output_error: bool = False, progress: ProgressCallback = no_progress
@@ -507,7 +547,7 @@ class Model:
         direct: list[Method] = ["least-squares", "input-error"]
         estimates = {e.method: e for e in self.estimates(direct, progress=progress)}
         missing = []
-        sampled = tables.likelihood.method == "output-error"
+        sampled = self.method == "output-error"
         if sampled:
             options = evidence.options.model_copy(update={"max_seconds": np.inf})
             evidence = replace(evidence, options=options)
@@ -608,7 +648,9 @@ class Model:
         # estimate
         start = model.starting_point(output_error=output_error, progress=progress)
         refuse_collinear_losses(config, model.chain, model.priors, start)
-        explained = explained or model.explain(start.estimates, progress=progress)
+        closed = model.method == "closed-loop"
+        if not closed:
+            explained = explained or model.explain(start.estimates, progress=progress)
         # sample
         settings = self.settings(seed)
         with config.named():
@@ -618,9 +660,13 @@ class Model:
         if model.held_out:
             fit = replace(fit, held_out=predict_held_out(fit.target, fit.posterior, model.held_out))
         # examine and conclude
+        if closed:
+            progress(Progress("what else explains the motion"))
+            explained = explain_closed_loop(fit.target, fit.posterior.median, settings.seed)
+        assert explained is not None
         errors = discrepancy(fit.target, fit.posterior, explained.missing)
         fit = replace(fit, discrepancy=errors)
-        contradicted = model.contradicted(dict(start.searched.point))
+        contradicted = {} if closed else model.contradicted(dict(start.searched.point))
         progress(Progress("identifiability"))
         summary = conclude(
             config,
@@ -756,11 +802,14 @@ class Result:
             {name: point[name] for name in self.joint.names},
             NoiseChoice(noise.order or 0, (), tuple(noise.memory), noise.room),
         )
+        if self.model.method == "closed-loop":
+            stride = int(self.summary.likelihood.get("stride", 1))
+            target = target.at(np.array([point[name] for name in target.names]), stride)
         return saved_fit(target, self.model.held_out, self.summary, groups)
 
     def tree(self) -> xr.DataTree:
         """Return the contents of ``posterior.nc``."""
-        from bayesfric.report.posterior_file import posterior_tree  # imports xarray and pandas
+        from bayesfric.report.posterior_file import posterior_tree
 
         text = self.model.config.text
         tree = posterior_tree(self.fit, self.summary, text, self.recordings)

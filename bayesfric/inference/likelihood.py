@@ -25,7 +25,7 @@ from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.signals import Signals
 
-LikelihoodMethod = Literal["input-error", "output-error"]
+LikelihoodMethod = Literal["input-error", "output-error", "closed-loop"]
 
 
 @dataclass(frozen=True, eq=False)

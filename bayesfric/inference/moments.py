@@ -36,6 +36,7 @@ from bayesfric.estimates import autoregression as ar
 from bayesfric.inference.linear_torque import LinearTorque, linear_torque
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.kernels import INNER
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.signals import Signals
@@ -133,7 +134,7 @@ class PlainMoments:
         return flat
 
 
-@njit(cache=True, forceinline=True)
+@njit(**INNER, forceinline=True)
 def product_sum(x: Array, y: Array) -> float:
     """Sum of products of two arrays."""
     # four sums are as fast as reordering by the compiler, and reproducible
@@ -149,7 +150,7 @@ def product_sum(x: Array, y: Array) -> float:
     return (a + b) + (c + d)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def entry_of(age: int, i: int, j: int) -> int:
     """Return the index of ``r[m - i] r[m - j]``, ``i <= j <= age``, in the flat layout."""
     return age * (age + 1) * (age + 2) // 6 + i * (age + 1) - i * (i - 1) // 2 + j - i
@@ -450,8 +451,12 @@ def _moments(
     """
     out = np.empty((z.shape[0], m.forms.shape[0]))
     batch = 128
-    change, is_changed = np.zeros(m.rows.shape[0]), np.zeros(m.rows.shape[0], np.bool_)
-    changed = np.empty(m.rows.shape[0], np.int64)
+    n_outputs = m.rows.shape[0]
+    change, is_changed = np.empty(n_outputs), np.empty(n_outputs, np.bool_)
+    changed = np.empty(n_outputs, np.int64)
+    residual = np.empty(n_outputs)  # of changed outputs and their neighbours
+    for k in range(n_outputs):
+        change[k], is_changed[k], residual[k] = 0.0, False, np.nan
     level, flipped = np.empty(batch), np.empty(batch, np.int64)
     for v in range(z.shape[0]):
         vector = z[v]
@@ -484,14 +489,21 @@ def _moments(
                         changed[n_changed] = k
                         n_changed += 1
         for k in changed[:n_changed]:
-            _add_change(m, k, order, vector, change, out[v])
+            for y in range(k - m.age[k], k + m.remaining[k] + 1):
+                if np.isnan(residual[y]):
+                    residual[y] = product_sum(m.rows[y], vector)
+            _add_change(m, k, order, residual, change, out[v])
         for k in changed[:n_changed]:
             change[k], is_changed[k] = 0.0, False
+            for y in range(k - m.age[k], k + m.remaining[k] + 1):
+                residual[y] = np.nan
     return out
 
 
-@njit(cache=True)
-def _add_change(m: MomentMatrices, x: int, order: int, z: Array, change: Array, out: Array) -> None:
+@njit(**INNER)
+def _add_change(
+    m: MomentMatrices, x: int, order: int, residual: Array, change: Array, out: Array
+) -> None:
     """Add a changed output's effect on products with others of its run.
 
     A pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the change of
@@ -499,9 +511,7 @@ def _add_change(m: MomentMatrices, x: int, order: int, z: Array, change: Array, 
     ``order`` periods after x.
     """
     for y in range(x - m.age[x], x + m.remaining[x] + 1):
-        value = product_sum(m.rows[y], z)
-        if y == x:
-            value *= 2.0
+        value = 2.0 * residual[y] if y == x else residual[y]
         if y >= x:
             value += change[y]
         value *= change[x]

@@ -53,8 +53,8 @@ class Scale:
     # Support
     lower: float = 0.0
     upper: float = np.inf
-    # of a torque, a position, or none
-    unit: Literal["torque", "position", ""] = "torque"
+    # of a torque, a position, a time, or none
+    unit: Literal["torque", "position", "s", ""] = "torque"
     # whether all recordings share it, and the residuals of an estimate determine if it is used
     chosen: bool = False
 
@@ -154,16 +154,57 @@ _POSITION_SCALES = (
     Scale("torque", r"\sigma_\Gamma", "noise of a torque sample", lambda s: up_to(s.torque)),
     Scale("position", r"\sigma_q", "noise of a position sample", _position, unit="position"),
 )
+
+
+def _around(size: Callable[[TypicalSizes], float], spread: float) -> Callable[..., PriorText]:
+    """Return a log-normal prior around a size."""
+    return lambda sizes: {
+        "distribution": "lognorm", "s": spread, "scale": float(f"{max(size(sizes), 1e-300):.0e}"),
+    }  # fmt: skip
+
+
+_CLOSED_LOOP_SCALES = (
+    Scale(
+        "slow_torque", r"\sigma_d", "slow random torque", _around(lambda s: 0.05 * s.torque, 2.0)
+    ),
+    Scale(
+        "slow_time", r"\tau_d", "time constant of the slow random torque",
+        _around(lambda _: 0.03, 1.3), unit="s",
+    ),
+    Scale(
+        "white_torque", r"\sigma_w", "random torque of one sample",
+        _around(lambda s: 0.01 * s.torque, 2.0),
+    ),
+    Scale(
+        "encoder", r"\sigma_q", "noise of a reading beyond the encoder's steps",
+        _around(lambda s: max(0.1 * s.position_step, 1e-6 * s.position), 1.5), unit="position",
+    ),
+    Scale(
+        "instants", r"\sigma_t", "scatter of the instants at which the encoder is read",
+        _around(lambda s: 0.03 * s.period, 1.5), unit="s",
+    ),
+)  # fmt: skip
 # All scales, by their names behind ``noise.`` in priors.
 SCALES: dict[str, Scale] = {
     scale.name: scale
-    for scale in (_SIGMA, *(_pacf(lag) for lag in range(1, 10)), *_POSITION_SCALES)
+    for scale in (
+        _SIGMA,
+        *(_pacf(lag) for lag in range(1, 10)),
+        *_POSITION_SCALES,
+        *_CLOSED_LOOP_SCALES,
+    )
 }
 # White noise of position and torque samples; the joint integrates the latter, so errors are
 # correlated.
 POSITION_NOISE = NoiseDescription(
     _POSITION_SCALES,
     "white in torque and position, torque noise carried through the simulation",
+    accounts_for_correlation=True,
+)
+# Slow and white random torque, the encoder, and the instants at which it is read.
+CLOSED_LOOP_NOISE = NoiseDescription(
+    _CLOSED_LOOP_SCALES,
+    "random torque, slow and white, carried through the closed loop; encoder; sampling instants",
     accounts_for_correlation=True,
 )
 

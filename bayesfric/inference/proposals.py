@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from emcee.moves import Move
 from numpy.typing import NDArray
 from scipy.special import expit, gammaln
 
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, Index
 
 # A map to other coordinates ``(n, d)`` with its log Jacobian ``(n,)``, and back
 Forward = Callable[[Array], tuple[Array, Array]]
@@ -189,7 +190,7 @@ def _mixture(z: Array, components: int, tolerance: float) -> tuple[Array, Array,
     skewed = (z * np.sum(z**2, axis=1, keepdims=True)).mean(axis=0)
     share = np.eye(components)[:, np.argsort(np.argsort(z @ skewed)) * components // n]
     # densities and moments are linear in coordinates and their products
-    i, j = np.triu_indices(d)
+    i, j = _pairs(d)
     terms = np.concatenate([np.ones((1, n)), z.T, z.T[i] * z.T[j]])
     previous = -np.inf
     for _ in range(_ROUNDS):
@@ -202,10 +203,16 @@ def _mixture(z: Array, components: int, tolerance: float) -> tuple[Array, Array,
     return normals
 
 
+@cache
+def _pairs(d: int) -> tuple[Index, Index]:
+    """Return the indices of the products of coordinates."""
+    return np.triu_indices(d)
+
+
 def _maximisation(share: Array, terms: Array, d: int) -> tuple[Array, Array, Array]:
     """Compute the normals from the draws' responsibilities ``(k, n)``."""
     moments = share @ terms.T
-    i, j = np.triu_indices(d)
+    i, j = _pairs(d)
     means = moments[:, 1 : d + 1] / moments[:, :1]
     covariances = np.empty((len(moments), d, d))
     covariances[:, i, j] = covariances[:, j, i] = moments[:, d + 1 :] / moments[:, :1]
@@ -217,7 +224,7 @@ def _maximisation(share: Array, terms: Array, d: int) -> tuple[Array, Array, Arr
 def _expectation(normals: tuple[Array, Array, Array], terms: Array) -> tuple[Array, float]:
     """Compute the draws' responsibilities ``(k, n)`` and the mean log density."""
     weights, means, roots = normals
-    i, j = np.triu_indices(means.shape[1])
+    i, j = _pairs(means.shape[1])
     inverses = np.linalg.inv(roots)
     precisions = inverses.transpose(0, 2, 1) @ inverses
     centres = np.einsum("kij,kj->ki", precisions, means)

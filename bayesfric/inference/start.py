@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 
@@ -79,6 +80,7 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     )
     information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
     slope = ((np.diag(shifted[:d]) - np.diag(shifted[d:])) / (2.0 * steps))[k:]
+    assert not isinstance(target.likelihood, ClosedLoopLikelihood)
     noise = target.noise.fold(target.likelihood.noise_information(scales))
     information[k:, k:] += noise * np.outer(slope, slope)
     scale = 1.0 / np.sqrt(np.diag(information))

@@ -8,7 +8,7 @@ Priors are given in physical parameters :math:`\theta`, walkers move in unconstr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.assemble import alpha_sign
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Noise
@@ -24,7 +25,7 @@ from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, joint_log_density
 from bayesfric.recordings.arrays import Array, Flags
 
-Likelihood = TorqueLikelihood | PositionLikelihood
+Likelihood = TorqueLikelihood | PositionLikelihood | ClosedLoopLikelihood
 
 
 class Target:
@@ -99,6 +100,19 @@ class Target:
         likelihood = self.likelihood.relinearised_at(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
 
+    def at(self, parameters: Array, stride: int | None = None) -> Target:
+        """Return the same target, its closed-loop likelihood referring to parameters ``(d,)``.
+
+        With another ``stride`` that of every so many readings.
+        """
+        likelihood, out = self.likelihood, copy(self)
+        assert isinstance(likelihood, ClosedLoopLikelihood)
+        if stride not in (None, likelihood.stride):
+            likelihood = likelihood.with_stride(stride)
+        scales = self.noise.scales(parameters[None, len(self.free) :])[0]
+        out.likelihood = likelihood.at(self.chain_values(parameters[None])[0], scales)
+        return out
+
     def precomputed(self, u: Array) -> Target:
         """Return the same target, fast near coordinates ``(n, d)``; its values do not change."""
         parameters, jacobian = self.to_parameters(u)
@@ -170,7 +184,11 @@ class Target:
 
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density ``(n,)`` of parameters ``(n, d)``."""
-        return joint_log_density(self.priors, parameters)
+        return self._prior_density(parameters)
+
+    @cached_property
+    def _prior_density(self) -> Callable[[Array], Array]:
+        return joint_log_density(self.priors)
 
     def log_likelihood(self, parameters: Array) -> Array:
         """Log-likelihood ``(n,)`` of parameters ``(n, d)``."""

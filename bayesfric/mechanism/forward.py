@@ -1,4 +1,4 @@
-"""Forward model: the motion under a motor torque, with true stiction, or under a drive's law.
+"""Forward model: the motion under a motor torque, with true stiction.
 
 While the joint keeps its direction and no element's transmitted torque changes sign, the equation
 of motion is smooth and classical Runge-Kutta steps integrate it. Reversals, breakaway and sign
@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import ArrayLike
 
 from bayesfric.mechanism.integrate import (
@@ -40,9 +38,9 @@ from bayesfric.mechanism.kernels import (
     STRIBECK_VELOCITY,
 )
 from bayesfric.mechanism.own_term import signal_of
-from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.measurement import Hold, Inputs, Law
+from bayesfric.recordings.measurement import Hold, Inputs
 
 
 class RunsAway(ValueError):
@@ -89,7 +87,7 @@ def simulate(
     if not (np.isfinite([q0, qd0]).all() and np.isfinite(measured).all()):
         raise ValueError("torque, q0 and qd0 must be finite")
     vector = np.asarray(values, dtype=np.float64)
-    elements, load, carried = _tables(joint, vector[np.newaxis], inputs)
+    elements, load, carried = forward_tables(joint, vector[np.newaxis], inputs)
     for reason, flags in _impossible(joint, vector[np.newaxis], elements, load).items():
         if flags[0]:
             raise ValueError(reason)
@@ -144,12 +142,12 @@ def simulate_segments(
     start, speed = (
         np.ascontiguousarray(np.broadcast_to(np.asarray(x, np.float64), shape)) for x in (q0, qd0)
     )
-    elements, load, carried = _tables(joint, vectors, inputs)
+    elements, load, carried = forward_tables(joint, vectors, inputs)
     q, qd = integrate_segments(
         elements,
         load,
         carried,
-        _possible(joint, vectors, elements, load),
+        possible(joint, vectors, elements, load),
         _acting(joint, vectors, np.asarray(torque, dtype=np.float64), period),
         float(period),
         float(begin),
@@ -163,7 +161,9 @@ def simulate_segments(
     return np.asarray(q), np.asarray(qd)
 
 
-def _tables(joint: Joint, vectors: Array, inputs: Inputs) -> tuple[Array, Array, Carried | None]:
+def forward_tables(
+    joint: Joint, vectors: Array, inputs: Inputs
+) -> tuple[Array, Array, Carried | None]:
     """Lay parameter vectors out for the forward model; a delay is no term of it."""
     elements, load, values = joint.tables(vectors, inputs)
     all_terms = joint.carried_terms(inputs)
@@ -224,7 +224,8 @@ def _impossible(joint: Joint, vectors: Array, elements: Array, load: Array) -> d
     }
 
 
-def _possible(joint: Joint, vectors: Array, elements: Array, load: Array) -> Flags:
+def possible(joint: Joint, vectors: Array, elements: Array, load: Array) -> Flags:
+    """Flag the vectors ``(n,)`` that have one motion."""
     flags: Flags = np.any(list(_impossible(joint, vectors, elements, load).values()), axis=0)
     return ~flags
 
@@ -249,154 +250,3 @@ def slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
         low = corners.min(axis=0) + element[:, INERTIA] * to_input
         high = corners.max(axis=0) + element[:, INERTIA] * to_input
     return low, high
-
-
-# --- a drive whose torque depends on the motion: position control, back-EMF ------------
-
-
-class _Drive(NamedTuple):
-    """A :class:`Law` for the compiled functions, ``(N,)`` arrays.
-
-    ``on (scale clip(command - kp q - kd qd, limit) - back_emf qd) + push``, in units of the
-    measured torque.
-    """
-
-    command: Array
-    scale: Array
-    on: Array  # 1 where the drive gives a torque, else 0
-    push: Array  # (1, N) or (n, N) torque in addition
-    kp: float
-    kd: float
-    limit: float
-    back_emf: float
-    held: bool  # whether a command is held until the next; else linear
-    delays: Array  # (n,) by which the drive acts late on its target, in samples
-
-
-def follow(
-    joint: Joint,
-    values: ArrayLike,
-    law: Law,
-    period: float,
-    segments: ArrayLike,
-    q0: ArrayLike,
-    qd0: ArrayLike,
-    *,
-    push: ArrayLike | None = None,
-    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    begin: float = 0.0,
-    held: bool = False,
-    step: float = 2e-3,
-) -> tuple[Array, Array]:
-    """Simulate the joint while a drive follows its command, restarted in every segment ``(K, 2)``.
-
-    Between two closings of the loop the torque is linear; its value at the end, which depends on
-    the motion, is predicted with a constant torque and corrected once (Heun's method).
-    """
-    vectors = np.ascontiguousarray(values, dtype=np.float64)
-    elements, load, carried = _tables(joint, vectors, inputs)
-    on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
-    rows = np.zeros((1, on.size)) if push is None else push
-    command, scale, on, pushed = (
-        np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on, rows)
-    )
-    kp, kd, limit, back_emf = map(float, (law.kp, law.kd, law.limit, law.back_emf))
-    late = joint.by_target and law.closed
-    delays = joint.delays(vectors) / period if late else np.zeros(len(vectors))
-    drive = _Drive(command, scale, on, pushed, kp, kd, limit, back_emf, held, delays)
-    q, qd = _follow(
-        elements,
-        load,
-        carried,
-        _possible(joint, vectors, elements, load),
-        drive,
-        float(period),
-        float(begin),
-        np.asarray(segments, dtype=np.int64),
-        np.asarray(q0, dtype=np.float64),
-        np.asarray(qd0, dtype=np.float64),
-        int(np.ceil(period / step - 1e-9)),
-    )
-    return np.asarray(q), np.asarray(qd)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _between(command: Array, first: int, last: int, place: float) -> float:
-    """Command on a straight line at a place, in samples, of those from ``first`` to ``last``."""
-    place = min(max(place, float(first)), float(last))
-    i = min(int(place), last - 1)
-    return float(command[i] + (place - i) * (command[i + 1] - command[i]))
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _standing(command: Array, first: int, place: float, step: float) -> float:
-    """Mean of a held command over a step, both in samples; before the ``first`` it is as there."""
-    begin = max(int(np.floor(place)), first)
-    end = max(int(np.floor(place + step * (1.0 - 1e-9))), first)
-    share = (end - place) / step if end > begin else 0.0
-    return float(share * command[begin] + (1.0 - share) * command[end])
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _torque(
-    drive: _Drive, i: int, share: float, command: float, push: float, q: float, qd: float
-) -> float:
-    """Torque of the drive between samples i and i + 1."""
-    j = min(i + 1, drive.command.shape[0] - 1)
-    scale = drive.scale[i] + share * (drive.scale[j] - drive.scale[i])
-    aimed = command - drive.kp * q - drive.kd * qd
-    aimed = min(max(aimed, -drive.limit), drive.limit)
-    return float(drive.on[i] * (scale * aimed - drive.back_emf * qd) + push)
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
-def _follow(
-    elements: Array,
-    loads: Array,
-    carried: Carried | None,
-    valid: Flags,
-    drive: _Drive,
-    period: float,
-    begin: float,
-    segments: Index,
-    q0: Array,
-    qd0: Array,
-    steps: int,
-) -> tuple[Array, Array]:
-    """Integrate every vector and segment in parallel, with ``steps`` loop closings a sample."""
-    n, pieces, samples = len(elements), segments.shape[0], drive.command.shape[0]
-    q_out, qd_out = np.full((n, samples), np.nan), np.full((n, samples), np.nan)
-    h = period / steps
-    for job in prange(n * pieces):
-        v, k = job // pieces, job % pieces
-        if not valid[v]:
-            continue
-        plant = plant_of(elements, loads, carried, v)
-        push = drive.push[v if drive.push.shape[0] > 1 else 0]
-        torque, out, counts = np.empty(2), np.empty((4, 2)), np.zeros(2, dtype=np.int64)
-        a, b = segments[k]
-        q, qd = q0[k], qd0[k]
-        for i in range(a, b):
-            q_out[v, i], qd_out[v, i] = q, qd
-            if i == b - 1 or np.isnan(q):
-                continue
-            for s in range(steps):
-                now, then = (0.0, 0.0) if drive.held else (s / steps, (s + 1) / steps)
-                change = push[i + 1] - push[i]
-                before = push[i] + s / steps * change
-                after = push[i] + (s + 1) / steps * change
-                time = begin + i * period + s * h
-                place = i + s / steps - drive.delays[v]
-                first = last = _standing(drive.command, a, place, 1.0 / steps)
-                if not drive.held:
-                    first = _between(drive.command, a, b - 1, place)
-                    last = _between(drive.command, a, b - 1, place + 1.0 / steps)
-                torque[0] = torque[1] = _torque(drive, i, now, first, before, q, qd)
-                done = 2
-                for _ in range(2):  # predict the motion and so the torque at the end, then correct
-                    count = integrate(plant, torque, h, time, True, q, qd, 1, out, counts)
-                    done = min(done, count)
-                    end, fast = out[POSITION, 1], out[SPEED, 1]
-                    torque[1] = _torque(drive, i, then, last, after, end, fast)
-                q, qd = (out[POSITION, 1], out[SPEED, 1]) if done == 2 else (np.nan, np.nan)
-    return q_out, qd_out

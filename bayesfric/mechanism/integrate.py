@@ -18,6 +18,7 @@ from numba import njit, prange
 from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
+    INNER,
     LOAD_DRIVE,
     LOAD_INERTIA,
     LOAD_SQUARE,
@@ -64,6 +65,9 @@ class Plant(NamedTuple):
     vector: int  # its index there
     # (n_elements, 2) scratch memory: T = slope qdd + intercept of the transmitted torques
     lines: Array
+    # what a drive takes off the torque per position and speed of the joint, N m/rad and N m s/rad
+    stiffness: float
+    damping: float
 
 
 class State(NamedTuple):
@@ -104,10 +108,32 @@ def plant_of(all_elements: Array, loads: Array, carried: Carried | None, vector:
         carried,
         vector,
         np.empty((elements.shape[0], 2)),
+        0.0,
+        0.0,
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
+def fed_back(plant: Plant, stiffness: float, damping: float) -> Plant:
+    """Return the joint under a drive that takes so much off the torque by position and speed."""
+    return Plant(
+        plant.elements,
+        plant.gain,
+        plant.offset,
+        plant.inertia,
+        plant.weight,
+        plant.angle,
+        plant.kinks,
+        plant.squares,
+        plant.carried,
+        plant.vector,
+        plant.lines,
+        stiffness,
+        damping,
+    )
+
+
+@njit(**INNER, error_model="numpy")
 def _level(stamps: Array, levels: Array, time: float) -> float:
     """Look up a signal as :class:`bayesfric.recordings.measurement.Signal` does."""
     if time <= stamps[0]:
@@ -119,7 +145,7 @@ def _level(stamps: Array, levels: Array, time: float) -> float:
     return float(levels[k - 1] + share * (levels[k] - levels[k - 1]))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _carried_torque(
     carried: Carried | None,
     vector: int,
@@ -145,7 +171,7 @@ def _carried_torque(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _load_torque(plant: Plant, q: float, qd: float, sign: float, time: float) -> float:
     """Torque of the load at constant speed: gravity and its carried terms, at the joint."""
     carried = _carried_torque(
@@ -166,7 +192,7 @@ def motor_torque(plant: Plant, q: float, qd: float, qdd: float, sign: float, tim
         torque = element_torque(
             element, torque / element[RATIO], sign, speed, to_input * qdd, rises(element, speed)
         ) + _carried_torque(plant.carried, plant.vector, k, to_input, q, qd, sign, time)
-    return torque
+    return float(torque)
 
 
 @njit(cache=True, error_model="numpy")
@@ -180,6 +206,7 @@ def acceleration(
     linearised at the acceleration ``about``, by Newton's method.
     """
     elements = plant.elements
+    torque -= plant.stiffness * q + plant.damping * qd
     still = _load_torque(plant, q, qd, sign, time)
     qdd, flow, about = 0.0, 0, 0.0
     for _ in range(40):
@@ -230,14 +257,15 @@ def acceleration(
 
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(plant: Plant, q: float, time: float) -> tuple[float, float]:
-    """Motor torques between which the joint at rest sticks."""
+    """Motor torques between which the joint at rest sticks, a drive's share at rest on top."""
+    taken = plant.stiffness * q
     return (
-        motor_torque(plant, q, 0.0, 0.0, -1.0, time),
-        motor_torque(plant, q, 0.0, 0.0, 1.0, time),
+        motor_torque(plant, q, 0.0, 0.0, -1.0, time) + taken,
+        motor_torque(plant, q, 0.0, 0.0, 1.0, time) + taken,
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _step(plant: Plant, state: State, h: float) -> tuple[float, float]:
     """Take one classical Runge-Kutta step of ``h`` s, direction and power flow held."""
     q, qd, qdd, sign, _, pattern, torque, rate, time = state
@@ -255,14 +283,14 @@ def _step(plant: Plant, state: State, h: float) -> tuple[float, float]:
     )
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(**INNER, error_model="numpy", forceinline=True)
 def _transmitted(plant: Plant, k: int, qdd: float, sign: float, pattern: int) -> float:
     """Return the transmitted torque of element k, positive where it agrees with the pattern."""
     value = (plant.lines[k, 0] * qdd + plant.lines[k, 1]) * sign
     return float(value if (pattern >> k) & 1 == 1 else -value)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _agreement(plant: Plant, state: State, h: float, which: int) -> float:
     """Value that is positive until event ``which`` (element, or -1: reversal), ``h`` later."""
     q, qd, _, sign, _, pattern, torque, rate, time = state
@@ -271,10 +299,10 @@ def _agreement(plant: Plant, state: State, h: float, which: int) -> float:
     if which < 0:
         return sign * qd
     qdd, _ = acceleration(plant, q, qd, torque + rate * h, time + h, sign, pattern)
-    return _transmitted(plant, which, qdd, sign, pattern)
+    return float(_transmitted(plant, which, qdd, sign, pattern))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _locate(plant: Plant, state: State, h: float, which: int) -> float:
     """Time to an event known to come within ``h``, to rounding (Illinois method).
 
@@ -315,7 +343,7 @@ def _locate(plant: Plant, state: State, h: float, which: int) -> float:
     return b if -fb <= fa else a
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
     """When, within a step from speed v0 to v1 that stays positive at both ends, it is least.
 
@@ -333,7 +361,7 @@ def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
     return h * x if 0.0 < x < 1.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _first_event(
     plant: Plant, state: State, h: float, q1: float, qd1: float
 ) -> tuple[float, int, float]:
@@ -366,7 +394,7 @@ def _first_event(
     return ahead, first, qdd1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _at_rest(
     plant: Plant, q: float, before: float, torque: float, time: float, counts: Index
 ) -> tuple[float, float, float, int]:
@@ -380,7 +408,7 @@ def _at_rest(
     return qdd, sign, sign, pattern
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _advance(
     plant: Plant, state: State, now: float, end: float, counts: Index, most_events: int = 64
 ) -> State:

@@ -20,9 +20,11 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import (
     ELEMENT_SLOTS,
     FIRST_MOMENT,
+    GAIN,
     LOAD_INERTIA,
     LOAD_SLOTS,
     OFFSET,
+    VISCOUS,
     Samples,
     inverse_many,
 )
@@ -69,6 +71,9 @@ class Joint:
     offset: bool = False  # whether the measured motor torque holds an unknown constant
     own_offsets: tuple[str, ...] = ()  # recordings with separate offsets, offset.<recording>
     gain: bool = False  # whether true over computed motor torque is unknown (drive.gain)
+    # the gain that the law's torque was read with, where the drive's kp is unknown (drive.kp)
+    kp: float | None = None
+    kd: bool = False  # whether its gain for the speed is unknown (drive.kd)
     delay: bool | None = None  # whether the position's delay is unknown (drive.delay)
     by_target: bool = False  # torque from a position target, whose delay it is (target.delay)
     made_from: str = ""  # name of the preset
@@ -141,6 +146,11 @@ class Joint:
             parameters.append(offset)
         if self.gain:
             parameters.append(parameter("drive", QUANTITIES["gain"], motion, ""))
+        parameters += [
+            parameter("drive", QUANTITIES[name], motion, "")
+            for name, unknown in (("kp", self.kp), ("kd", self.kd))
+            if unknown
+        ]
         if self.delay and self.by_target:
             late = parameter("drive", LATE_TARGET, motion, "")
             parameters.append(replace(late, name="target.delay"))
@@ -167,6 +177,18 @@ class Joint:
         """Return the delay ``(n,)`` of parameter vectors ``(n, n_parameters)``, s; 0 without."""
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))
+
+    def drive_gains(self, values: Array) -> tuple[Array, Array]:
+        """Return kp over the one the law was read with, and what kd comes on top of the law's.
+
+        ``(n,)`` of parameter vectors ``(n, n_parameters)``; 1 and 0 where they are known.
+        """
+        factor, kd = np.ones(len(values)), np.zeros(len(values))
+        if self.kp:
+            factor = values[:, self.names.index("drive.kp")] / self.kp
+        if self.kd:
+            kd = values[:, self.names.index("drive.kd")]
+        return factor, kd
 
     @property
     def motor_motion(self) -> Motion:
@@ -221,10 +243,12 @@ class Joint:
     def unseen_inertia(self) -> tuple[str, ...]:
         """Names of the inertias where all are before load-dependent friction; else empty.
 
-        An element's inertia is before its friction.
+        An element's inertia is before its friction. Of a load that is computed from further
+        columns, they have it.
         """
         lossy = [k for k, e in enumerate(self.elements) if e.load_loss != "none"]
-        if not lossy or self.load.has("inertia"):
+        computed = any(q.signal for q in self.load.quantities)
+        if not lossy or self.load.has("inertia") or computed:
             return ()
         held = [k for k, e in enumerate(self.elements) if e.has("inertia")]
         if any(k > lossy[-1] for k in held):
@@ -303,6 +327,9 @@ class Joint:
         load = np.ascontiguousarray(flat[:, split:])
         if inputs is not None:
             load[:, [LOAD_INERTIA, FIRST_MOMENT]] += inputs.load(self.load.motion)
+        factor, kd = self.drive_gains(values)
+        load[:, GAIN] *= factor
+        elements[:, 0, VISCOUS] += kd / self.ratio
         terms = self.carried_terms(inputs)
         carried = np.zeros((len(values), len(terms), 2), values.dtype)
         for k, term in enumerate(terms):
@@ -378,7 +405,7 @@ def slots_of(p: Parameter) -> tuple[str, ...]:
     if slots and set(slots) <= set(known):
         return slots
     column = p.row.column is not None or p.row.signal
-    if p.quantity not in SHAPES and not (p.row.role == "own" and column):
+    if p.quantity not in SHAPES and p.owner != "drive" and not (p.row.role == "own" and column):
         raise KeyError(f"{p.name}: neither the kernels nor a column know {p.quantity!r}")
     return ()
 

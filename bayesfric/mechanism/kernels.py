@@ -37,6 +37,8 @@ LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = range(len(LOA
 Row = Array | tuple[float, ...]  # of one element
 Factors = tuple[float, float]  # of Coulomb and of load-dependent friction
 _as_tuple: Any = to_fixed_tuple
+# Of functions that only kernels call: what calls them from Python takes a fifth of the compiling.
+INNER: Any = {"cache": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class Samples(NamedTuple):
@@ -150,13 +152,13 @@ def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples)
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _low_speeds(elements: Array, speed: Array) -> Array:
     """Share of the Stribeck rise ``(n_elements, N)`` with what shapes it in the first vector.
 
     Most vectors of a derivative have the same, and its exponential takes ten times the rest.
     """
-    low = np.zeros((elements.shape[1], speed.shape[0]))
+    low = np.empty((elements.shape[1], speed.shape[0]))
     to_input = 1.0
     for k in range(elements.shape[1] - 1, -1, -1):
         first = elements[0, k]
@@ -165,13 +167,13 @@ def _low_speeds(elements: Array, speed: Array) -> Array:
         for i in range(elements.shape[0]):
             rise, load_rise = elements[i, k, STRIBECK_RATIO], elements[i, k, STRIBECK_LOAD_RATIO]
             needed |= rise != 0.0 or load_rise != 0.0
-        if needed:
-            for j in range(speed.shape[0]):
-                low[k, j] = low_speed(speed[j], width, first[STRIBECK_EXPONENT])
+        for j in range(speed.shape[0]):
+            share = low_speed(speed[j], width, first[STRIBECK_EXPONENT]) if needed else 0.0
+            low[k, j] = share
     return low
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER, error_model="numpy")
 def _inverse(
     elements: Array,
     load: Array,
@@ -196,7 +198,7 @@ def _inverse(
     _carry(carried, samples, elements.shape[0] + 1, out)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _carry(carried: Array, samples: Samples, place: int, out: Array) -> None:
     """Add the terms of one element, or the load, that have no slot."""
     for t in range(carried.shape[0]):
@@ -213,7 +215,7 @@ def _carry(carried: Array, samples: Samples, place: int, out: Array) -> None:
                 out[j] += value * call(address, q, qd, sign, samples.time[j], shape)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _through_element(
     element: Array, first: Array, to_input: float, samples: Samples, low: Array, out: Array
 ) -> None:

@@ -59,6 +59,7 @@ class TypicalSizes:
     position: float = 1.0  # range of the joint's, rad or m
     duration: float = 1.0  # of the longest recording, s
     position_step: float = 0.0  # finest that one was read in, rad or m; 0 where it is not known
+    period: float = 0.0  # longest between two samples, s
     # rms torque of each custom or signal term, for a value of one
     columns: Mapping[str, float] = field(default_factory=dict)
 
@@ -409,6 +410,16 @@ QUANTITIES: dict[str, Quantity] = {
             "gain", _NONE, "k",
             "true motor torque over the torque computed from current or voltage",
             role="form", default=1.0, prior="lognorm", spread=lambda _: 0.5, measurand="constant",
+        ),
+        # the gains of the drive's controller, at the joint; a step of the law, not of the friction
+        Quantity(
+            "kp", ("N m/rad", "N/m"), "k_p", "gain of the drive's controller",
+            role="form", slots=(), prior="lognorm", spread=lambda _: 1.0, measurand="constant",
+        ),
+        Quantity(
+            "kd", ("N m s/rad", "N s/m"), "k_d", "gain of the drive's controller for the speed",
+            role="form", slots=(), spread=lambda s: s.torque / s.speed, start=0.0,
+            measurand="constant",
         ),
         # with a late position the torque of earlier on is recorded
         Quantity(

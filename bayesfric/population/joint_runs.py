@@ -114,7 +114,7 @@ class JointTarget(Target):
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of parameters ``(n, d)``; that of a mean is flat."""
         x = parameters
-        out = joint_log_density(self.priors[: self._shared], x[:, : self._shared])
+        out = joint_log_density(self.priors[: self._shared])(x[:, : self._shared])
         for k, places, sds in zip(self._spreads, self._varying, self._sds, strict=True):
             tau, theta = x[:, k], x[:, places]
             squares = ((theta - theta.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)

@@ -61,7 +61,9 @@ class LikelihoodOptions(Options):
     method: LikelihoodMethod = Field(
         "input-error",
         description="input-error: the torque, by the inverse model along the differentiated "
-        "motion; output-error: the position, by simulation, nothing differentiated",
+        "motion; output-error: the position, by simulation, nothing differentiated; closed-loop: "
+        "the position, predicted from targets and earlier positions, where no torque is recorded "
+        "(then it needs no mention)",
     )
 
 

@@ -21,9 +21,9 @@ from bayesfric.estimates.processing import (
     with_fine_motion,
 )
 from bayesfric.inference.fitting import read_priors
-from bayesfric.inference.noise import MAX_ORDER, Autoregressive
+from bayesfric.inference.noise import CLOSED_LOOP_NOISE, MAX_ORDER, Autoregressive
 from bayesfric.inference.position_likelihood import PositionLikelihood
-from bayesfric.inference.priors import Prior, as_knowledge
+from bayesfric.inference.priors import Prior, PriorText, as_knowledge
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
@@ -55,10 +55,22 @@ def prepare(
         )
     measurements = _read_all(config, chain, recordings)
     by_target = all(r.feedback is not None for r in measurements)
-    if by_target and chain.delay is None and tables.likelihood.method == "input-error":
+    method, chosen = tables.likelihood.method, tables.likelihood.model_fields_set
+    if (method == "closed-loop") != by_target and (chosen or not by_target):
+        without = "closed-loop" if by_target else "input-error"
+        problem = (
+            f"is {method!r}, and no torque is recorded" if by_target else "needs targets alone"
+        )
+        where = f"{config.path}: likelihood.method"
+        raise BadInput(where, problem, f"leave it out for {without!r}")
+    if by_target and chain.delay is None:
         # drives react late to their target, which looks like viscous friction
         chain = replace(chain, delay=True)
     chain = replace(chain, by_target=by_target)
+    texts = config.priors
+    if by_target:
+        chain, ranges = _with_unknown_gains(config, chain, measurements)
+        texts = {**ranges, **texts}
     with config.named():
         measurements, parts, doubted = _with_band(measurements, chain, tables)
         # the torque's rate scales a prior, for any delay
@@ -68,7 +80,7 @@ def prepare(
     with config.named():
         _check_size(chain, observations)
         _check_priors(config, chain)
-        priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
+        priors = read_priors(chain, texts, observations, _noise_quantities(config, chain))
         if chain.delay:
             prior = priors[chain.delay_name]
             known = as_knowledge(chain, priors)
@@ -88,6 +100,29 @@ def prepare(
         _, encoder = fitted(parts)
         parts = _with_refined_motion(parts, chain, as_knowledge(chain, priors), tables.estimation)
     return chain, priors, parts, encoder
+
+
+def _with_unknown_gains(
+    config: Config, chain: Joint, recordings: Sequence[Measurement]
+) -> tuple[Joint, dict[str, PriorText]]:
+    """Make unknown gains of the drive parameters; all recordings have the same."""
+    laws = [r.law for r in recordings if r.law is not None]
+    unknown, where = laws[0].unknown, f"{config.path}: recordings"
+    if any(law.unknown != unknown or (unknown and law.kp != laws[0].kp) for law in laws):
+        raise BadInput(where, "differ in gains that are not known", "fit one gain at a time")
+    if unknown and chain.gain:
+        problem = "is unknown, and so are the drive's gains: only products count"
+        raise BadInput(f"{config.path}: mechanism.gain", problem, "leave gain out")
+    ranges: dict[str, PriorText] = {f"drive.{name}": list(ends) for name, ends in unknown.items()}
+    if unknown.get("kp") == (0.0, math.inf):
+        # only a torque says how large a gain is: without one all are multiples of it
+        known = any(r.inputs.known_load for r in recordings) or any(
+            name.rpartition(".")[2] in ("inertia", "first_moment") and prior not in (0, 0.0)
+            for name, prior in config.priors.items()
+        )
+        spread: PriorText = {"distribution": "loguniform", "a": 1e-3, "b": 1e3}
+        ranges["drive.kp"] = spread if known else 1.0
+    return replace(chain, kp=laws[0].kp if "kp" in unknown else None, kd="kd" in unknown), ranges
 
 
 def _read_all(
@@ -186,11 +221,12 @@ def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measure
             problem = f"a recording cannot be called {name!r}"
             raise BadInput(where, problem, "give it another name with name = ...")
     holds_out = tables.validation.recordings or tables.validation.hold_out is not None
-    if holds_out and tables.likelihood.method == "output-error":
+    by_target = all(r.feedback is not None for r in recordings)
+    if holds_out and (by_target or tables.likelihood.method == "output-error"):
         raise BadInput(
             f"{config.path}: validation",
-            "is not offered for the output-error likelihood",
-            'leave it out, or set likelihood.method = "input-error"',
+            "is not offered for a likelihood of the position",
+            "leave it out, or give a torque and the input-error likelihood",
         )
 
 
@@ -267,9 +303,11 @@ def _check_priors(config: Config, chain: Joint) -> None:
             )
 
 
-def _noise_quantities(config: Config) -> tuple[str, ...]:
+def _noise_quantities(config: Config, chain: Joint) -> tuple[str, ...]:
     """Noise scales that may have a prior."""
     tables = config.tables
+    if chain.by_target:
+        return CLOSED_LOOP_NOISE.quantities
     if tables.likelihood.method == "output-error":
         return PositionLikelihood.noise.quantities
     return Autoregressive(MAX_ORDER if tables.noise.model == "auto" else 0).quantities

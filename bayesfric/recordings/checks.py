@@ -146,28 +146,32 @@ def failed_reads(values: Array, most: int | None) -> tuple[Flags, float]:
     return flags, 0.0
 
 
-def check_signs(values: Array, where: str, signal: str) -> None:
-    """Refuse whole numbers that jump, unless their highest bit is taken as their sign."""
-    highest = float(values.max())
-    if values.min() < 0.0 or highest < 2.0 or np.any(values != np.round(values)):
-        return
+def sign_code(values: Array) -> tuple[str, int, str] | None:
+    """Return key and bit that decode whole numbers ``(n,)``, NaN in holes, which jump otherwise.
+
+    Their highest bit is then their sign. Returns what shows it, too.
+    """
+    values = values[np.isfinite(values)]
+    highest = float(values.max(initial=0.0))
+    if values.min(initial=0.0) < 0.0 or highest < 2.0 or np.any(values != np.round(values)):
+        return None
     bits = int(np.log2(highest)) + 1
     half = 2.0 ** (bits - 1)
     negative = values >= half
     if negative.all():
-        return
+        return None
     low, high = float(values[~negative].max()), float(values[negative].min())
     spread = max(low - float(values.min()), highest - high)
     jumps = float(np.sum(np.diff(values) ** 2))
-    for key, decoded, gap in (
-        (f"sign_bit = {bits - 1}", half - values, high - half),
-        (f"twos_complement = {bits}", values - 2.0 * half, 2.0 * half - highest),
+    for key, bit, decoded, gap in (
+        ("sign_bit", bits - 1, half - values, high - half),
+        ("twos_complement", bits, values - 2.0 * half, 2.0 * half - highest),
     ):
         left = float(np.sum(np.diff(np.where(negative, decoded, values)) ** 2))
         if left < 0.25 * jumps and gap <= spread:
-            problem = f"the {signal} is {low:.6g} or less, or {high:.6g} and more in "
-            problem += f"{100.0 * float(np.mean(negative)):.2g} % of the rows"
-            raise BadInput(where, problem, f"where its sign is a bit, write {key}")
+            sentence = f"it is {low:.6g} or less, or {high:.6g} and more in "
+            return key, bit, f"{sentence}{100.0 * float(np.mean(negative)):.2g} % of the rows"
+    return None
 
 
 def unsigned(values: Array, position: Array, where: str) -> list[str]:
@@ -209,22 +213,32 @@ def fresh_rows(signals: Sequence[Array]) -> tuple[Index, Flags, int] | None:
     return rows, stale[rows], hold
 
 
-def slower(values: Array) -> tuple[Array, int] | None:
-    """Interpolate a signal ``(n,)`` that is held over rows, and return over how many; or None.
+def own_rows(values: Array, time: Array) -> tuple[Index, str] | None:
+    """Return the rows that measure a signal ``(n,)``, if others repeat them or lie between them.
 
-    Unlike steps of an encoder, they come at one pace and are of many sizes.
+    Others hold the value before, or lie on a line to the next one, as where signals of several
+    rates were brought to the stamps of all. Unlike steps of an encoder or commands, measured rows
+    come at one pace, differ in many sizes, and each by less than the signal varies.
     """
-    steps = np.diff(values, prepend=np.nan)
-    first = np.flatnonzero(steps != 0.0)
-    gaps = np.diff(first)
-    hold = int(np.median(gaps)) if first.size > 20 else 1
-    if hold < 2 or np.mean(gaps % hold == 0) < 0.9:
-        return None
-    if np.median(np.abs(steps[first[1:]])) < 3.0 * finest_step(values):
-        return None
-    since = np.arange(values.size) - first[np.cumsum(steps != 0.0) - 1]
-    fresh = np.flatnonzero(since % hold == 0)
-    return np.interp(np.arange(values.size), fresh, values[fresh]), hold
+    finest = finest_step(values)
+    slopes = np.diff(values) / np.diff(time)
+    ahead, behind = np.diff(time)[1:], np.diff(time)[:-1]
+    bend = np.diff(slopes) * ahead * behind / (ahead + behind)
+    # a decimal or two of the numbers in a file
+    smallest = max(finest, 1e-9 * float(np.abs(values).max(initial=0.0)))
+    for how, change in (("held over", np.diff(values)), ("drawn through", bend)):
+        rows = np.flatnonzero(np.abs(change) > smallest * (how != "held over")) + 1
+        gaps = np.diff(rows)
+        count = int(np.median(gaps)) if rows.size > 20 else 1
+        if count < 2 or np.mean(gaps % count == 0) < 0.9:
+            continue
+        steps = np.diff(values[rows])
+        if np.median(np.abs(change[rows - 1])) >= 3.0 * smallest and rms(steps) < values.std():
+            # and again where a value lasts longer
+            row = np.arange(values.size)
+            since = row - rows[np.searchsorted(rows, row, "right") - 1]
+            return np.flatnonzero(since % count == 0), f"{how} {count} rows"
+    return None
 
 
 # --- motion and standstill ----------------------------------------------------------------------
@@ -393,4 +407,32 @@ def feedback(
     share = 1.0 - float(np.var(t - columns @ gains) / np.var(t))
     if share > 0.98 and gains[1] < 0.0 and np.var(gains[1] * q) > 0.5 * np.var(t):
         return "position error", share
+    return None
+
+
+def target_fault(target: Array, position: Array, *, lags: int = 10) -> tuple[str, str] | None:
+    """Say why a position ``(n,)`` cannot follow a target ``(n,)``, and what to do.
+
+    A position comes after its target, is about as large, and moves the same way.
+    """
+    if not np.ptp(target):
+        return "never moves", "record a motion, or name the column of targets"
+    lags = min(lags, target.size // 4)
+    middle = slice(lags, target.size - lags)
+    goals = np.array([np.roll(target, k)[middle] for k in range(-lags, lags + 1)])
+    goals = goals - goals.mean(axis=1, keepdims=True)
+    q = position[middle] - position[middle].mean()
+    sizes = np.sqrt((goals**2).sum(axis=1) * (q @ q))
+    correlation = np.divide(goals @ q, sizes, out=np.zeros(len(goals)), where=sizes > 0.0)
+    best = int(np.argmax(correlation))
+    ratio = float(np.std(target)) / max(float(np.std(position)), 1e-300)
+    if correlation[best] < 0.2:
+        runs = "runs against" if correlation.min() < -0.7 else "does not move"
+        return f"the position {runs} this target", "take this joint's own target, with its sign"
+    if correlation[best] > 0.7 and not 0.1 < ratio < 10.0:
+        return f"the target moves {ratio:.3g} times as far as the position", "correct its unit"
+    left = 1.0 - correlation**2
+    if best < lags and left[best] < 0.8 * left[lags]:
+        problem = f"the position comes {lags - best} samples before this target"
+        return problem, "swap the two columns, or log targets when they are sent"
     return None

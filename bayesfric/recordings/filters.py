@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numba import njit
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
 from bayesfric.recordings.measurement import Lag, Measurement, Signal
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 # Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
 # both measurement and model, and the others for more; but a kink of the acceleration also affects
@@ -47,11 +45,12 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
 
 
 @lru_cache(maxsize=64)
-def _butterworth(order: int, cutoff: float, fs: float) -> Array:
-    """Design a Butterworth low-pass as second-order sections."""
-    from scipy.signal import butter
+def _butterworth(order: int, cutoff: float, fs: float) -> tuple[Array, Array]:
+    """Design a Butterworth low-pass: second-order sections, and their states for a constant."""
+    from scipy.signal import butter, sosfilt_zi
 
-    return np.asarray(butter(order, cutoff, fs=fs, output="sos"))
+    sections = butter(order, cutoff, fs=fs, output="sos")
+    return np.asarray(sections), np.asarray(sosfilt_zi(sections))
 
 
 def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: int) -> Array:
@@ -61,17 +60,24 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     """
     if cutoff == 0:
         return values.copy()
-    from scipy.signal import sosfiltfilt
+    from scipy.signal import sosfilt
 
     check_cutoff(cutoff, fs, "processing, lowpass")
-    sections = _butterworth(order, cutoff, fs)
-    # scipy's own padding is shorter than a low cut-off's transient
+    sections, constant = _butterworth(order, cutoff, fs)
     padding = max(3 * (2 * len(sections) + 1), int(np.ceil(3 * fs / cutoff)))
     result = np.array(values, dtype=np.float64, order="C")
-    for row in result.reshape(-1, values.shape[-1]):
-        for a, b in segments:
-            if b - a > 1:
-                row[a:b] = sosfiltfilt(sections, row[a:b], padlen=min(padding, b - a - 1))
+    rows = result.reshape(-1, values.shape[-1])
+    for a, b in segments:
+        if b - a < 2:
+            continue
+        x, n = rows[:, a:b], min(padding, b - a - 1)
+        # reflected at both ends, longer than the transient of a low cut-off
+        before, after = 2.0 * x[:, :1] - x[:, n:0:-1], 2.0 * x[:, -1:] - x[:, -2 : -n - 2 : -1]
+        x = np.concatenate([before, x, after], axis=1)
+        for _ in range(2):  # forwards, and backwards
+            x, _ = sosfilt(sections, x, zi=constant[:, None] * x[:, :1])
+            x = x[:, ::-1]
+        rows[:, a:b] = x[:, n : n + b - a]
     return result
 
 
@@ -122,18 +128,21 @@ def derivative(values: Array, segments: Segments, period: float, reach: int = 1)
     """
     result = np.zeros_like(values)
     for a, b in segments:
-        if b - a < 3:
+        n = b - a
+        if n < 3:
             continue
         part, out = values[..., a:b], result[..., a:b]
-        out[...] = np.gradient(part, period, edge_order=2, axis=-1)
-        for k in range(2, min(reach, (b - a - 1) // 2) + 1):
+        out[..., :1] = np.gradient(part[..., :3], period, edge_order=2, axis=-1)[..., :1]
+        out[..., -1:] = np.gradient(part[..., -3:], period, edge_order=2, axis=-1)[..., -1:]
+        widest = max(1, min(reach, (n - 1) // 2))
+        for k in range(1, widest):  # one sample at either end
             weights = differentiator(k) / period
-            if k < reach:  # one sample at either end
-                out[..., k] = part[..., : 2 * k + 1] @ weights
-                out[..., -1 - k] = part[..., -1 - 2 * k :] @ weights
-                continue
-            for row in np.ndindex(part.shape[:-1]):
-                out[row][k : b - a - k] = np.correlate(part[row], weights, mode="valid")
+            out[..., k] = part[..., : 2 * k + 1] @ weights
+            out[..., -1 - k] = part[..., -1 - 2 * k :] @ weights
+        weights, last = differentiator(widest) / period, n - widest
+        for k in range(1, widest + 1):
+            change = part[..., widest + k : last + k] - part[..., widest - k : last - k]
+            out[..., widest:last] += weights[widest + k] * change
     return result
 
 
@@ -248,21 +257,24 @@ class ParallelFilter:
 
     def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
-        x = np.asarray(x, dtype=np.float64)
-        rows = x.reshape(-1, x.shape[-1]).T
-        out = np.ascontiguousarray((self._matrix @ rows).T)
-        return out.reshape(*x.shape[:-1], self.n_outputs)
+        rows = np.ascontiguousarray(x, dtype=np.float64).reshape(-1, x.shape[-1])
+        out = _windowed(rows, self.used, self.taps, self.starts, self.gains)
+        return np.asarray(out).reshape(*x.shape[:-1], self.n_outputs)
 
-    @cached_property
-    def _matrix(self) -> csr_array:
-        """From samples to outputs, ``(M, N)``."""
-        from scipy.sparse import csr_array
 
-        n, length = self.n_outputs, len(self.taps)
-        samples = self.starts[:, None] + np.arange(length)
-        weights = self.gains[:, None] * self.taps * self.used[samples]
-        ends = np.arange(0, n * length + 1, length)
-        return csr_array((weights.ravel(), samples.ravel(), ends), (n, self.used.size))
+@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def _windowed(rows, used, taps, starts, gains):  # type: ignore[no-untyped-def]
+    """Apply a parallel filter to rows ``(k, N)``: ``(k, M)``."""
+    out, row = np.empty((len(rows), starts.size)), np.empty(used.size)
+    for k in range(len(rows)):
+        for i in range(used.size):
+            row[i] = rows[k, i] * used[i]
+        for m in range(starts.size):
+            window, total = row[starts[m] : starts[m] + taps.size], 0.0
+            for j in range(taps.size):  # in any order, several at once
+                total += taps[j] * window[j]
+            out[k, m] = gains[m] * total
+    return out
 
 
 def decimation(band: float, fs: float) -> int:
@@ -407,7 +419,9 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     spectra = _spectra(recording)
     reason: Reason = "sampling" if band is None else "asked"
     if spectra is None:
-        return Resolution(WIDEST * fs if band is None else band, reason, 0.0, math.inf)
+        return Resolution(
+            WIDEST * (recording.pace or fs) if band is None else band, reason, 0.0, math.inf
+        )
     frequency, width, motion, unit_noise, _ = spectra
     # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
     quiet = frequency >= 0.3 * fs
@@ -470,7 +484,7 @@ def _choose(
     inverse share of an inertia that is lost.
     """
     fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
-    ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
+    ends: list[tuple[float, Reason]] = [(WIDEST * (recording.pace or fs), "sampling")]
     if variance > 0.0:
         noise = unit_noise * variance
         # from the frequency of the largest speeds on: below there is little to resolve

@@ -214,6 +214,12 @@ class Law:
     back_emf: float = 0.0  # motor torque for a speed of the joint
     off: Flags | None = None  # where the drive is off, if known
     held: bool = False  # whether a command is held until the next; else linear
+    # ranges of gains that are not known, of kp and in addition to kd, as kp and kd; kp is its upper
+    # end, or 1 where it is any
+    unknown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # period at which the drive closes its loop, and lag of the speed that it uses, s
+    loop: float | None = None
+    velocity_filter: float | None = None
 
     @property
     def follows(self) -> bool:
@@ -284,6 +290,7 @@ class Measurement:
     motion: Literal["rotary", "linear"] = "rotary"  # of the joint
     torque_constant: float | None = None  # N m/A or N/A, where a current was measured
     widest_band: float | None = None  # Hz, of a usable acceleration, where a model determines it
+    pace: float | None = None  # Hz, of its slowest signal, where rows hold it or lie between
     late: float = 0.0  # delay of the position, s, where a model determines it; trimmed at both ends
     law: Law | None = None  # of the drive; None for a simulated replicate
     integrated: bool = False  # whether the position is the integral of the velocity

@@ -117,7 +117,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
     source, table, time = aligned(source, table, drive)
-    table, time, stale, warnings = _fresh(source, table, time)
+    table, time, stale, pace, warnings = _as_measured(source, table, time)
     table = table.with_ones(len(time))
     steps, position, velocity = list(table.notes), None, None
     if source.position is not None:
@@ -147,8 +147,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         *_count_warnings(source, table, chosen),
     ]
     for key, signed in source.channels.items():
+        coded = None
         if key in _MEASURED and not source.steady:
-            checks.check_signs(_signed(signed, table)[chosen], table.label(signed.column), key)
+            coded = checks.sign_code(_signed(signed, table)[chosen])
+        if coded is not None:
+            hint = f"where its sign is a bit, write {coded[0]} = {coded[1]}"
+            raise BadInput(table.label(signed.column), f"{key}: {coded[2]}", hint)
     if not recorded.closed:
         warnings += checks.clipped(_signed(channel, table)[chosen], kind)
         if channel.sign == 1 and position is not None and source.voltage is None:
@@ -184,6 +188,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
+    if law.closed and (fault := checks.target_fault(law.command / law.kp, joint)) is not None:
+        raise BadInput(table.label(channel.column), *fault)
     motor_speed = np.zeros(joint.shape) if speed is None else speed
     by_speed = channel.sign == "by-speed"
     if speed is None and (law.back_emf or law.kd or by_speed):
@@ -199,8 +205,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     inputs = _inputs(source, table, drive, grid, steps)
     off, excluded = _excluded(source, table, grid, warnings)
     excluded |= grid.linear(stale.astype(np.float64)) > 0.0
-    if source.steady:
-        excluded |= speed == 0.0
+    if source.steady and speed is not None:
+        # a speed of a few of its steps is none
+        excluded |= np.abs(speed) <= 3.5 * (checks.quantisation(speed) or 0.0)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     torque_constant = None
@@ -232,6 +239,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         integrated=position is None,
         steady=source.steady,
         ratio=drive.ratio,
+        pace=pace,
     )
 
 
@@ -321,29 +329,37 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
     return source.model_copy(update=update), table.decoded(decoded, notes)
 
 
-def _fresh(source: Columns, table: Table, time: Array) -> tuple[Table, Array, Flags, list[str]]:
-    """Leave rows out that repeat motion and torque, as of a drive that answers more slowly.
+def _as_measured(
+    source: Columns, table: Table, time: Array
+) -> tuple[Table, Array, Flags, float | None, list[str]]:
+    """Leave rows out that repeat motion and torque; interpolate a signal between its own rows.
 
-    Also flags rows that last longer than usual.
+    Returns also the stamps, flags of rows that last longer than usual, the pace in Hz of the
+    slowest signal, and warnings.
     """
-    channels = source.channels
-    moved = [channels[key].column for key in ("position", "velocity") if key in channels]
-    drive = [channels[key].column for key in ("torque", "current", "voltage") if key in channels]
-    signals = [table.values(column) for column in (*moved, *drive)]
-    fresh = None
-    if drive and np.ptp(signals[-1]) and not source.steady:
-        fresh = checks.fresh_rows(signals)
-    if fresh is None:
-        between, notes = dict[str | int, Array](), list[str]()
-        for key in ("position", "velocity") if not source.steady else ():
-            if key in channels and (read := checks.slower(table.values(channels[key].column))):
-                between[channels[key].column], rows = read
-                notes.append(f"{key}: each value is held over {rows} rows; interpolated between")
-        return table.decoded(between, notes), time, np.zeros(time.size, dtype=np.bool_), []
-    new, stale, hold = fresh
-    text = f"time: values are held over {hold} rows; those that repeat are left out ({len(new)} "
-    text += f"of {time.size} remain), and not compared where they last twice as long"
-    return table.part(new, time.size), time[new], stale, [text]
+    columns = {k: x.column for k, x in source.channels.items() if k in _MEASURED}
+    signals = {key: table.values(column) for key, column in columns.items()}
+    never, fresh = np.zeros(time.size, dtype=np.bool_), None
+    if len({*signals} - {"position", "velocity"}) and np.ptp([*signals.values()][-1]):
+        fresh = checks.fresh_rows([*signals.values()])
+    if fresh is not None:
+        rows, stale, hold = fresh
+        if source.steady:
+            rows, stale = rows[~stale], stale[~stale]
+        text = f"time: values are held over {hold} rows; those that repeat are left out "
+        text += f"({rows.size} of {time.size} remain), and not compared where they last longer"
+        return table.part(rows, time.size), time[rows], stale, None, [text]
+    between, notes, paces = dict[str | int, Array](), list[str](), list[float]()
+    for key, values in signals.items() if not source.steady else ():
+        if (own := checks.own_rows(values, time)) is not None:
+            from scipy.interpolate import pchip_interpolate
+
+            rows, how = own
+            inside = np.clip(time, *time[rows[[0, -1]]])
+            between[columns[key]] = pchip_interpolate(time[rows], values[rows], inside)
+            notes.append(f"{key}: each value is {how}; interpolated between")
+            paces.append(1.0 / float(np.median(np.diff(time[rows]))))
+    return table.decoded(between, notes), time, never, min(paces, default=None), []
 
 
 def _signed(channel: Channel, table: Table) -> Array:
@@ -524,14 +540,14 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     motion = drive.motor_motion if target.side == "motor" else drive.motion
     # the column in 'times' is the supply, and multiplies the scale below
     goal, _ = joint_signal(target.model_copy(update={"times": None}), "target", table, drive)
-    gives, kp = _gain(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
+    (gives, kp), kps = _gains(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
     missing = [key for key in _REQUIRED.get(gives, ()) if getattr(target, key) is None]
     if missing:
-        problem = f"is not given, and kp = '{target.kp}' needs it"
+        problem = f"is not given, and kp = {target.kp!r} needs it"
         raise BadInput(f"{where}, {missing[0]}", problem, f"add {missing[0]} = ...")
-    kd, limit = 0.0, np.inf
+    kd, kds, limit = 0.0, None, np.inf
     if target.kd is not None:
-        _, kd = _gain(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
+        (_, kd), kds = _gains(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
     if target.limit is not None:
         limit = units.scale([target.limit], gives, f"{where}, limit")
     to_side = drive.ratio if target.side == "motor" else 1.0
@@ -540,13 +556,25 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     if gives == "share" and target.times is not None:
         unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
         scale = scale * table.column(target.times) * unit
+    if (kps or kds) and np.ptp(scale):
+        problem = "is not known, and the supply that it is a share of changes"
+        raise BadInput(f"{where}, kp", problem, "give one number for each gain")
+    if kps or kds:  # parameters are gains of a torque
+        to_side, limit, scale = to_side * scale[0], limit * scale[0], np.ones(goal.shape)
     kp, kd = kp * to_side, kd * to_side
+    ranges = {"kp": kps, "kd": kds}
+    unknown = {
+        n: (low * to_side, high * to_side) for n, r in ranges.items() if r for low, high in [r]
+    }
+    kd = 0.0 if kds else kd
     # no drive holds a mean over the sample
     held = target.held and target.sampled == "instant"
     towards = target.value or f"column '{target.column}'"
     step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""
-    return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step
+    lags = target.loop, target.velocity_filter
+    law = Law(kp * goal, scale, kp, kd, limit, back_emf, None, held, unknown, *lags)
+    return law, gives, step
 
 
 def _motor(
@@ -565,6 +593,27 @@ def _motor(
     formula = f"kt V/R - kt^2 (motor speed)/R with kt = {channel.torque_constant}, "
     formula += f"R = {channel.resistance}"
     return constant / resistance, constant**2 * drive.ratio / resistance, formula
+
+
+def _gains(
+    text: str | list[str] | None, per: units.Kind, kinds: Sequence[units.Kind], where: str
+) -> tuple[tuple[units.Kind, float], tuple[float, float] | None]:
+    """Read a gain that is positive, and its range if it is not known; then it is the upper end."""
+    if text is None:
+        return (kinds[0], 1.0), (0.0, np.inf)
+    parts = [text] if isinstance(text, str) else text
+    read = [_gain(part, per, kinds, where) for part in parts]
+    for (_, value), part in zip(read, parts, strict=True):
+        if value < 0.0:
+            raise BadInput(
+                where, f"'{part}' is negative, and drives the joint away", "turn its sign"
+            )
+    if isinstance(text, str):
+        return read[0], None
+    (kind, low), (other, high) = read if len(read) == 2 else ((kinds[0], 0.0), (kinds[0], 0.0))
+    if kind != other or not low < high:
+        raise BadInput(where, f"{list(text)} is no range", "give two gains of one unit that rise")
+    return (kind, high), (low, high)
 
 
 def _gain(
@@ -595,6 +644,8 @@ def _law_step(law: Law, position: Array, speed: Array, *, measured: bool) -> str
     if np.isfinite(law.limit):
         share = float(np.mean(law.limited(position, speed)))
         step += f"; at its limit in {100 * share:.2g} % of the samples"
+    if law.closed and None in (law.loop, law.velocity_filter):
+        step += "; loop or velocity_filter is not given: up to 1 ms, in viscous loss and inertia"
     return step + "; what that back-EMF is off by counts as viscous loss" * bool(law.back_emf)
 
 

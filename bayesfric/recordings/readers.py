@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,7 @@ from bayesfric.base.safe_read import check_file, parse_json, unreadable
 from bayesfric.recordings.recognition import with_clocks
 from bayesfric.recordings.tables import Table, is_number
 
-if TYPE_CHECKING:
-    import pandas as pd
+LoadColumn = Callable[[int], NDArray[Any]]
 
 # fmt: off
 Format = Literal[
@@ -187,13 +186,7 @@ def _cells(values: list[Any]) -> NDArray[Any]:
 
 
 def _read_delimited(path: Path, options: TableOptions) -> Table:
-    """Detect marks, header and a row of units; pandas takes the numbers out.
-
-    Unlike pandas' detection this refuses rows of another width, with their line.
-    """
-    # pandas takes a third of a second to import, which only reading should cost
-    import pandas as pd
-
+    """Detect marks, header and a row of units; refuse rows of another width, with their line."""
     text = _read_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     lines = [n for n, line in enumerate(text, 1) if n > options.skip_rows and line.strip()]
     if not lines:
@@ -217,6 +210,31 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
         if (count := len(_split(line, delimiter))) != width:
             problem = f"has {count} cells, the table has {width} columns"
             raise BadInput(f"{path}, line {n}", problem, "correct the row, or cut the file there")
+    load = _numbers(body, delimiter) if decimal == "." else None
+    load = load or _cells_by_pandas(path, body, width, delimiter, decimal)
+    table = _titled(path, load, rows, lines, header, first, width)
+    comma = ("numbers have a decimal comma",) if decimal == "," else ()
+    return dataclasses.replace(table, decimal=decimal, notes=(*comma, *table.notes))
+
+
+def _numbers(body: Sequence[str], delimiter: str) -> LoadColumn | None:
+    """Read a table of nothing but finite numbers; pandas takes a third of a second to import."""
+    try:
+        numbers = np.loadtxt(
+            body, delimiter=None if delimiter == "whitespace" else delimiter, comments=None, ndmin=2
+        )
+    except ValueError:
+        return None
+    # larger ones are whole numbers that would be rounded
+    return numbers.T.__getitem__ if (np.abs(numbers) < 2.0**53).all() else None
+
+
+def _cells_by_pandas(
+    path: Path, body: Sequence[str], width: int, delimiter: str, decimal: str
+) -> LoadColumn:
+    """Read a table of any cells."""
+    import pandas as pd
+
     separator = r"\s+" if delimiter == "whitespace" else delimiter
     try:
         frame = pd.read_csv(
@@ -229,21 +247,19 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
     if frame.shape != (len(body), width):
         problem = f"has {len(body)} lines of {width} cells, read as {frame.shape[0]} rows of "
         raise BadInput(str(path), f"{problem}{frame.shape[1]}", "close the quotes")
-    table = _titled(path, frame, rows, lines, header, first)
-    comma = ("numbers have a decimal comma",) if decimal == "," else ()
-    return dataclasses.replace(table, decimal=decimal, notes=(*comma, *table.notes))
+    return lambda index: frame.iloc[:, index].to_numpy()
 
 
 def _titled(
     path: Path,
-    frame: pd.DataFrame,
+    load: LoadColumn,
     rows: Sequence[Sequence[str]],
     lines: Sequence[int],
     header: int | None,
     first: int,
+    width: int,
 ) -> Table:
-    """Make a table of a frame of cells, whose names and units are in the ``rows`` above it."""
-    width = frame.shape[1]
+    """Make a table of cells, whose names and units are in the ``rows`` above it."""
     names, units, notes = [""] * width, list[str](), list[str]()
     top = first if header is None else header
     if header is not None:
@@ -259,7 +275,7 @@ def _titled(
     return Table(
         str(path),
         names,
-        lambda index: frame.iloc[:, index].to_numpy(),
+        load,
         units=units,
         lines=lines[first:],
         header=f"line {lines[top]}",
@@ -382,7 +398,12 @@ def _read_xlsx(path: Path, options: TableOptions) -> Table:
     flags = [[is_number(cell) for cell in row] for row in rows]
     lines = range(1, len(frame) + 1)
     header, first = _find_header(path, lines, rows, flags, _width(flags))
-    return _titled(path, frame.iloc[first:].infer_objects(), rows, lines, header, first)
+    body = frame.iloc[first:].infer_objects()
+
+    def load(index: int) -> NDArray[Any]:
+        return body.iloc[:, index].to_numpy()
+
+    return _titled(path, load, rows, lines, header, first, frame.shape[1])
 
 
 def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
@@ -565,7 +586,7 @@ def _read_parquet(path: Path, _: TableOptions) -> Table:
         index, part = places[index]
         kind, name = schema.types[index], schema.names[index]
         plain = getattr(kind, "value_type", kind)
-        unlike = (pa.types.is_nested, pa.types.is_time, pa.types.is_duration, pa.types.is_binary)
+        unlike = (pa.types.is_nested, pa.types.is_time, pa.types.is_binary)
         if any(is_kind(plain) for is_kind in unlike):
             problem = f"holds {str(kind)[:60]}, not numbers"
             raise BadInput(f"{path}, column '{name}'", problem, "export it as numbers")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -11,18 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.recordings import units
+from bayesfric.recordings import checks, units
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.checks import unwrapped
 from bayesfric.recordings.measurement import implausible
-from bayesfric.recordings.tables import Table
+from bayesfric.recordings.tables import Table, as_dates
 from bayesfric.recordings.units import OPEN
 
 _DRIVES = ("torque", "current", "voltage")
 # Words for each channel, the most specific first.
 _WORDS = {
     "time": "time timestamp timestamps t ts stamp stamps clock elapsed seconds millis micros "
-    "received tout datetime date tick zeit",
+    "received tout datetime date tick zeit dt",
     "position": "position positions pos q qpos angle theta phi encoder enc qm state counts ticks",
     "velocity": "velocity velocities vel qd dq qvel qdot thetadot speed omega v",
     "torque": "torque torques tau effort efforts trq moment force load",
@@ -35,7 +34,7 @@ _WORDS = {
     "measured": "actual act measured meas present feedback pv is ist",
     # no name of a joint
     "": "joint joints motor observation observations obs header in the output axis data value "
-    "values signal log electrical control raw estimate est",
+    "values signal log electrical control raw estimate est sum of",
 }
 # Words that count only as the whole name.
 _LETTERS = {"t", "v", "i", "u", "counts", "ticks"}
@@ -101,6 +100,9 @@ _WRITTEN = (
     (re.compile(r"(?i)(?<=position)_m$"), "_metre"),
     (re.compile(r"(?<=ffort|force)_N$"), "_newton"),
 )
+# Parts of a second beside a column of seconds: header.stamp.sec and header.stamp.nanosec.
+_PART_OF_SECOND = re.compile(r"(?i)(.*?)(n|u|µ|nano|micro)_?s(?:ec(?:ond)?s?)?")
+_SECONDS = ("sec", "secs", "s", "seconds", "second")
 # Objects of a drive by CiA 402, and what names say of them.
 _OBJECTS = {
     **{"6064": "position", "606C": "velocity", "6077": "torque", "6078": "current"},
@@ -113,12 +115,14 @@ _OBJECT = re.compile(rf"(?i)(?<![0-9a-z])(?:0x)?({'|'.join(_OBJECTS)})h?(?![0-9a
 class Log:
     """Recognised columns of a log."""
 
-    chosen: dict[str, tuple[str, str]]  # column and its unit, empty if unknown, by channel
+    # column, or its number, and its unit, empty if unknown, by channel
+    chosen: dict[str, tuple[str | int, str]]
     columns: tuple[str | int, ...]  # all columns
     joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
     where: dict[str, float] = field(default_factory=dict)  # rows of the first recording of several
     problems: tuple[str, ...] = ()  # what is wrong with the chosen columns
+    decoding: dict[str, tuple[str, int]] = field(default_factory=dict)  # key and bit, by channel
 
 
 class Named(NamedTuple):
@@ -131,10 +135,13 @@ class Named(NamedTuple):
     unit: str  # empty if unknown
 
 
+_TICKS = Named("time", _UNSURE, False, "", "")
+
+
 def recognise(table: Table, joint: str | None = None) -> Log:
     """Choose the columns of one joint, which may be named, by their names."""
     table, where = _one_episode(table)
-    problems = dict[str, str]()
+    problems = dict[str | int, str]()
     signals = sorted(
         (s for s in _signals(table, problems) if not s[2].wanted), key=lambda s: s[2].rank
     )
@@ -156,7 +163,8 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
     label = label or ""
-    chosen: dict[str, tuple[str, str]] = {}
+    chosen: dict[str, tuple[str | int, str]] = {}
+    decoding = dict[str, tuple[str, int]]()
     for channel in ("position", "velocity", *_DRIVES, "time"):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
             continue
@@ -173,8 +181,16 @@ def recognise(table: Table, joint: str | None = None) -> Log:
                 problems[OPEN] = f"the {channel}: {' or '.join([column, *rivals])}, which differ"
                 column, name = OPEN, name._replace(unit="")
             chosen[channel] = column, name.unit
+            if channel != "time" and column != OPEN and (code := checks.sign_code(values)):
+                key, bit, sentence = code
+                decoding[channel] = key, bit
+                problems.setdefault(column, f"{channel}: {sentence}; its sign is taken as a bit")
+    if "time" not in chosen and (steady := _steady(table, {c for c, _ in chosen.values()})):
+        if len(steady) > 1:
+            problems[OPEN] = f"the time: {' or '.join(map(str, steady))}, which increase steadily"
+        chosen["time"] = steady[0] if len(steady) == 1 else OPEN, ""
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
-    if "time" in chosen:
+    if chosen.get("time", (OPEN, ""))[0] != OPEN:
         chosen = {"time": _checked_time(table, *chosen.pop("time"), chosen, problems), **chosen}
     taken = [column for column, _ in chosen.values()]
     return Log(
@@ -184,7 +200,8 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         # a column that names no joint is none to choose
         tuple(filter(None, joints)) * (len(joints) > 1),
         where,
-        tuple(problems[column] for column in taken if column in problems),
+        tuple(problems[column] for column in dict.fromkeys(taken) if column in problems),
+        decoding,
     )
 
 
@@ -192,16 +209,39 @@ Signals = list[tuple[str, Array, "Named"]]
 
 
 def _clocks(signals: Signals) -> Signals:
-    """Sort the columns named as time, those first that never go back; none that stands still.
+    """Sort the columns named as time, those first that increase; none that stands still.
 
     Nor one that goes back and is known by its unit only, as a latency in ms.
     """
-    back = [
-        (bool(np.any(np.diff(unwrapped(values)[0][np.isfinite(values)]) < 0.0)), k)
-        for k, (_, values, _) in enumerate(signals)
-        if np.nanmax(values) > np.nanmin(values)
-    ]
-    return [signals[k] for wrong, k in sorted(back) if not wrong or signals[k][2].rank < _UNSURE]
+    faults = list[tuple[int, bool, int]]()
+    for k, (column, values, _) in enumerate(signals):
+        if np.nanmax(values) > np.nanmin(values):
+            steps = np.diff(checks.unwrapped(values)[0][np.isfinite(values)])
+            fault = 2 if np.any(steps < 0.0) else int(np.mean(steps == 0.0) > 0.5)
+            faults.append((fault, " + " not in column, k))
+    return [signals[k] for x, _, k in sorted(faults) if x < 2 or signals[k][2].rank < _UNSURE]
+
+
+def _steady(table: Table, taken: Collection[str | int]) -> list[str | int]:
+    """List columns of no other meaning that increase steadily; numbers of rows if no others do."""
+    clocks = list[tuple[bool, str | int]]()
+    for number, name in enumerate(table.names, start=1):
+        meaning, key = named(name), name or number
+        if key in taken or meaning.wanted or meaning.channel:
+            continue
+        with suppress(BadInput):
+            if (steps := increases(table.values(key))) is not None:
+                clocks.append((bool(np.all(steps == 1.0)), key))
+    return [key for counts, key in clocks if counts == min(clocks)[0]]
+
+
+def increases(values: Array, *, steadily: float = 0.9) -> Array | None:
+    """Return the steps of a column that increases, most of them alike, as those of a clock."""
+    steps = np.diff(values[np.isfinite(values)])
+    if steps.size < 2 or steps.min() <= 0.0:
+        return None
+    alike = np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)
+    return steps if np.mean(alike) > steadily else None
 
 
 def _same(one: Array, other: Array) -> bool:
@@ -214,15 +254,22 @@ def with_clocks(table: Table) -> Table:
 
     Recognised columns that cannot be paired so are ``unpaired``.
     """
+    table = _with_sums(table)
     marks = list(table.units or [""] * len(table.names))
-    times = dict[str, Array]()
+    times, dates = dict[str, Array](), dict[str, np.datetime64]()
     for k, name in enumerate(table.names):
         meaning = named(name, marks[k])
         if meaning.channel == "time" and not meaning.wanted and table.names.count(name) == 1:
             with suppress(BadInput):
+                if (stamps := as_dates(table.cells(name))) is not None and stamps.dtype.kind == "M":
+                    dates[name], marks[k] = stamps[~np.isnat(stamps)].min(), "s"
+                    continue
                 time = table.values(name) * units.scale([meaning.unit or "s"], "time")
-                if time.size > 1 and np.all(np.diff(time) > 0.0) and not table.is_dated(name):
+                if time.size > 1 and np.all(np.diff(time) > 0.0):
                     times[name], marks[k] = time, meaning.unit
+    if len(dates) > 1 and not times:
+        table = replace(table, epoch=min(dates.values()), units=marks)
+        times = {name: table.values(name) for name in dates}
     clocks = list[str]()
     for name, time in times.items():
         if not any(_as_one(time, times[other]) for other in clocks):
@@ -241,6 +288,39 @@ def with_clocks(table: Table) -> Table:
         elif named(name).channel:
             unpaired[name] = ", ".join(clocks)
     return replace(table, clocks=pairs, unpaired=unpaired, units=marks)
+
+
+def _with_sums(table: Table) -> Table:
+    """Add columns of time: seconds and their parts in another column, and sums of its steps."""
+    sums, marks = dict[str, Array](), list[str]()
+    names = [name for name in table.names if table.names.count(name) == 1]
+    clocks = [name for name in names if named(name).channel == "time"]
+    for name in clocks:
+        part = _PART_OF_SECOND.fullmatch(name)
+        whole = next((x for s in _SECONDS if part and (x := f"{part[1]}{s}") in names), None)
+        with suppress(BadInput):
+            if part and whole is not None:
+                seconds = table.values(whole)
+                share = table.values(name) * units.scale(
+                    ["ns" if part[2][0] in "nN" else "us"], "time"
+                )
+                if np.nanmax(share) < 1.0 and not np.any(seconds % 1.0 > 0.0):
+                    sums[f"{whole} + {name}"] = seconds - seconds[0] + share
+                    marks.append("s")
+            elif clocks == [name] and {"dt"} & {*_PARTS.findall(name.lower())}:
+                steps = table.values(name)
+                if np.all(steps > 0.0):
+                    sums[f"sum of {name}"] = np.cumsum(steps) - steps[0]
+                    marks.append(named(name).unit)
+    if not sums:
+        return table
+    load, count, columns = table.load, len(table.names), list(sums.values())
+    return replace(
+        table,
+        names=[*table.names, *sums],
+        load=lambda index: load(index) if index < count else columns[index - count],
+        units=[*(table.units or [""] * count), *marks],
+    )
 
 
 def _as_one(time: Array, other: Array) -> bool:
@@ -273,18 +353,18 @@ def _of_joint(signals: Signals, label: str) -> Signals:
 
 def _checked_time(
     table: Table,
-    column: str,
+    column: str | int,
     unit: str,
-    chosen: dict[str, tuple[str, str]],
-    problems: dict[str, str],
-) -> tuple[str, str]:
+    chosen: dict[str, tuple[str | int, str]],
+    problems: dict[str | int, str],
+) -> tuple[str | int, str]:
     """Return time's column and its unit, open where no joint is recorded so; says what is wrong."""
     if column in problems:
         return column, unit
     try:
         columns = [name for name, _ in chosen.values() if name != OPEN]
         once = table.without_repeats(columns, column)
-        time = once.decoded({column: unwrapped(once.values(column))[0]}, ()).stamps(column)
+        time = once.decoded({column: checks.unwrapped(once.values(column))[0]}, ()).stamps(column)
     except BadInput as error:
         problems[column] = str(error)
         return column, unit
@@ -310,7 +390,7 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
     return table, {}
 
 
-def _signals(table: Table, problems: dict[str, str]) -> Iterator[tuple[str, Array, Named]]:
+def _signals(table: Table, problems: dict[str | int, str]) -> Iterator[tuple[str, Array, Named]]:
     """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
         if not named(name, written).channel:
@@ -320,7 +400,11 @@ def _signals(table: Table, problems: dict[str, str]) -> Iterator[tuple[str, Arra
         try:
             if named(name, written).channel == "time" and table.is_dated(name):
                 written = "s"
-            yield name, _numbers(table, name, problems), named(name, written)
+            values, meaning = _numbers(table, name, problems), named(name, written)
+            if name.lower() in _LETTERS and meaning.channel == "position" and len(name) > 1:
+                # counts of an encoder, or of a clock
+                meaning = meaning if increases(values) is None else _TICKS
+            yield name, values, meaning
             continue
         except BadInput as error:
             problems[name] = str(error)
@@ -332,7 +416,7 @@ def _signals(table: Table, problems: dict[str, str]) -> Iterator[tuple[str, Arra
                 yield key, _numbers(table, key, problems), named(key, written)
 
 
-def _numbers(table: Table, key: str, problems: dict[str, str]) -> Array:
+def _numbers(table: Table, key: str, problems: dict[str | int, str]) -> Array:
     """Return a column ``(n,)``, NaN where it has no number, and say which cell holds another."""
     values, rows = table.values(key), np.flatnonzero(~table.holes(key))
     if np.isfinite(values).sum() < max(2.0, 0.5 * rows.size):
@@ -346,7 +430,7 @@ def _numbers(table: Table, key: str, problems: dict[str, str]) -> Array:
 
 def named(name: str, written: str = "") -> Named:
     """Parse a column's name, and the unit ``written`` in the file; the last known word counts."""
-    text, inside = name.strip(), ""
+    text, inside = name.partition(" + ")[0].strip(), ""
     if brackets := _BRACKETS.search(text):
         text, inside = text[: brackets.start()], brackets[1].strip()
     text = _OBJECT.sub(lambda index: _OBJECTS[index[1].upper()], text)

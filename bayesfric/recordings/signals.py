@@ -133,7 +133,9 @@ def observe(
     carry, and settings that leave no output, are bad input.
     """
     if recording.steady:
-        processing = Processing(lowpass=0.0, decimate=1, trim=0.0, dead_zone=0.0)
+        processing = Processing(
+            lowpass=0.0, decimate=1, trim=0.0, dead_zone=processing.dead_zone or 0.0
+        )
     filters, (q, qd, compared, still, windows, settings) = _prepare(
         recording, processing, resolution
     )
@@ -381,7 +383,8 @@ def _filter_and_lay_windows(
         raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
     if included == 0:
         problem = "what is not compared (excluded, not valid, or held for long) leaves no output"
-        raise BadInput(f"{where}, exclude", problem, "exclude less, or log each answer once")
+        hint = "exclude less; where a drive answers slowly, steady = true takes friction from speed"
+        raise BadInput(f"{where}, exclude", problem, hint)
     windows = lay_windows(taps, parts, filters.factor, moving, share)
     resolution = filters.resolution
     settings: Settings = {
@@ -567,7 +570,7 @@ def _step_sentences(filters: _Filters, recording: Measurement, settings: Setting
             f"{resolution.noise:.2g} {unit}"
         )
     ended = {
-        "sampling": "as wide as the sampling rate allows",
+        "sampling": "as wide as the sampling rate of the slowest signal allows",
         "position": "beyond which the position does not resolve the acceleration",
         "torque": "beyond which the torque has next to no power",
         "length": "the narrowest that leaves enough outputs of so short a recording",

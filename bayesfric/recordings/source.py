@@ -220,12 +220,24 @@ class Target(Effort, Position):
     given. The unit of ``kp`` determines that: torque, current, voltage, or the duty of a supply.
     """
 
-    kp: str = Field(
+    kp: str | list[str] | None = Field(
+        None,
         description="Gain of the drive's controller: '8 N m/rad', '3 A/rad', '5 V/rad', or "
-        "'2 1/rad' for a duty, 1 being the whole of the supply in 'times'. It drives the motor."
+        "'2 1/rad' for a duty, 1 being the whole of the supply in 'times'. It drives the motor. "
+        "A range such as ['5 N m/rad', '20 N m/rad'] makes it a parameter, drive.kp; if left out "
+        "it is any, or 1 N m/rad where nothing else says how large a torque is.",
+        examples=["8 N m/rad", ["5 N m/rad", "20 N m/rad"]],
     )
-    kd: str | None = Field(
-        None, description="Its gain for the speed, such as '0.1 N m s/rad'; none if left out."
+    kd: str | list[str] | None = Field(
+        None,
+        description="Its gain for the speed, such as '0.1 N m s/rad', or a range (drive.kd); left "
+        "out it counts as viscous friction, from which no motion below the limit distinguishes it.",
+    )
+    velocity_filter: Seconds | None = Field(
+        None, description="Lag of the speed that the drive uses, s; 0 for none."
+    )
+    loop: Seconds | None = Field(
+        None, description="Period at which the drive closes its loop, s; 0 for a continuous one."
     )
     limit: str | None = Field(
         None, description="What the controller gives at most, such as '5 V' or '1'."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import date
+from datetime import date, timedelta
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from bayesfric.recordings.arrays import Array, Flags, Index
 # possessive, so that it fails at the first wrong character
 _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?")
 _ISO_8601 = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d")
+_DURATION = re.compile(r"(\d+ days? )?\d+:\d\d:\d\d")
 _ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
 _LISTS = (list, tuple, np.ndarray)
 # Text of cells without a value; other text that is no number is refused.
@@ -52,6 +53,7 @@ class Table:
     by_rows: bool = False  # whether the first axis of an array is always that of the samples
     rows: Index | None = None  # indices of the rows used; None for all
     count: int | None = None  # rows in the file, where only some are used
+    epoch: np.datetime64 | None = None  # from which dates count; None for each column's first
     _columns: dict[str | int, Array] = field(default_factory=dict, init=False)
 
     def row(self, index: int) -> str:
@@ -87,14 +89,17 @@ class Table:
         if names.count(name) > 1:
             numbers = [number for number, other in enumerate(names, start=1) if other == name]
             at = f"{self.where}, {self.header}" if self.header else self.where
-            problem = f"columns {' and '.join(map(str, numbers))} are all named {name!r}"
+            listed = f"{', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
+            problem = (
+                f"columns {listed} are {'both' if len(numbers) == 2 else 'all'} named {name!r}"
+            )
             raise BadInput(at, problem, "give the column's number, or rename one of them")
         return names.index(name), signal
 
     def values(self, key: str | int) -> Array:
         """Return a column ``(n,)`` by name or number from 1, NaN where a cell is no number.
 
-        Dates become seconds since the first.
+        Dates become seconds since the first, and durations seconds.
         """
         if key in self._columns:
             return self._columns[key]
@@ -109,8 +114,11 @@ class Table:
             with np.errstate(over="ignore"):  # a long double may become infinite
                 return cells.astype(np.float64, copy=False)
         if (dates := as_dates(cells)) is not None:
-            since = (dates - dates[~np.isnat(dates)].min()) / np.timedelta64(1, "ns")
-            values = np.asarray(since, dtype=np.float64) / 1e9
+            if dates.dtype.kind == "M":
+                dates = dates - (
+                    dates[~np.isnat(dates)].min() if self.epoch is None else self.epoch
+                )
+            values = np.asarray(dates / np.timedelta64(1, "ns"), dtype=np.float64) / 1e9
         elif cells.dtype.kind == "O":
             values = np.array([_number(cell, self.decimal) for cell in cells], dtype=np.float64)
         else:
@@ -147,7 +155,7 @@ class Table:
         return table
 
     def is_dated(self, key: str | int) -> bool:
-        """Whether a column holds dates."""
+        """Whether a column holds dates or durations."""
         return as_dates(self.cells(key)) is not None
 
     def cells(self, key: str | int) -> NDArray[Any]:
@@ -329,20 +337,24 @@ class Table:
         return table, rows
 
 
-def as_dates(cells: NDArray[Any]) -> NDArray[np.datetime64] | None:
-    """Read cells ``(n,)`` of dates, or of text by ISO 8601; ``None`` if they are others."""
+def as_dates(cells: NDArray[Any]) -> NDArray[Any] | None:
+    """Read cells ``(n,)`` of dates or durations, or of their text; ``None`` if they are others."""
     if cells.ndim == 1 and cells.dtype.kind == "O":
         first = next((cell for cell in cells if not _is_empty(cell)), None)
-        text = isinstance(first, str) and _ISO_8601.match(first.strip())
-        if not text and not isinstance(first, date):
+        text = first.strip() if isinstance(first, str) else ""
+        dated = isinstance(first, date) or _ISO_8601.match(text)
+        if not dated and not isinstance(first, timedelta) and not _DURATION.match(text):
             return None
         import pandas as pd
 
-        dates = pd.to_datetime(pd.Series(cells), utc=True, format="ISO8601", errors="coerce")
-        cells = dates.dt.tz_localize(None).to_numpy()
-    if cells.dtype.kind != "M" or np.isnat(cells).all():
+        if dated:
+            dates = pd.to_datetime(pd.Series(cells), utc=True, format="ISO8601", errors="coerce")
+            cells = dates.dt.tz_localize(None).to_numpy()
+        else:
+            cells = pd.to_timedelta(pd.Series(cells), errors="coerce").to_numpy()
+    if cells.dtype.kind not in "mM" or np.isnat(cells).all():
         return None
-    return cells.astype("datetime64[ns]")
+    return cells.astype(f"{cells.dtype.kind}8[ns]")
 
 
 def _is_empty(cell: Any) -> bool:

@@ -208,8 +208,10 @@ def _number(plain: Any, *kinds: Kind, off: bool = False) -> BeforeValidator:
 
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Seconds = Annotated[_NotNegative, _number(_NotNegative, "time")]
+Delay = Annotated[_Finite, _number(_Finite, "time", off=True)]
 Hertz = Annotated[_Positive, _number(_Positive, "frequency")]
 HertzOrOff = Annotated[_NotNegative, _number(_NotNegative, "frequency", off=True)]
 Kilograms = Annotated[_NotNegative, _number(_NotNegative, "mass")]

@@ -1,4 +1,4 @@
-"""``posterior.nc``: draws, predictions and data of a run in ArviZ's groups, written by xarray."""
+"""``posterior.nc``: draws, predictions and data of a run in ArviZ's groups."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import json
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from bayesfric.base import __version__
@@ -20,21 +20,60 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.summary.derived_quantities import Group, coefficients
 from bayesfric.report.summary.record import PosteriorRow, Summary
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 # Groups whose variables are parameters and derived quantities, in their units.
 _IN_UNITS = ("posterior", "derived", "prior", "widened")
 
 # Some arrays are of whole numbers, or of single precision.
 Arrays = dict[str, NDArray[Any]]
+# A variable: the names of its dimensions, its values and attributes.
+Variable = tuple[list[str], NDArray[Any], dict[str, str]]
 
 
 def posterior_tree(
+    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
+) -> xr.DataTree:
+    """Return the contents of ``posterior.nc`` for xarray and ArviZ."""
+    import xarray as xr  # takes half a second
+
+    groups = _groups(fit, summary)
+    datasets = {f"/{group}": xr.Dataset(*of) for group, of in groups.items()}
+    root = xr.Dataset(attrs=_provenance(fit, summary, config_text, recordings))
+    return xr.DataTree.from_dict({"/": root, **datasets})
+
+
+def posterior_bytes(
     fit: Fit,
     summary: Summary,
     config_text: str,
     recordings: list[Measurement],
     draws: int | None = None,
-) -> xr.DataTree:
-    """Put the groups of ``posterior.nc`` together.
+) -> bytes:
+    """Return ``posterior.nc``, NetCDF 4: HDF5 whose dimensions are scales; see :func:`_groups`.
+
+    It is made in memory: on a full disk HDF5 would end the process.
+    """
+    with h5py.File("posterior.nc", "w", driver="core", backing_store=False, track_order=True) as f:
+        f.attrs.update(_provenance(fit, summary, config_text, recordings))
+        for group, (variables, coords) in _groups(fit, summary, draws).items():
+            of = f.create_group(group, track_order=True)
+            for dim, places in coords.items():
+                of.create_dataset(dim, data=places).make_scale(dim)
+            for name, (dims, values, attributes) in variables.items():
+                variable = of.create_dataset(name, data=values)
+                variable.attrs.update(attributes)
+                for axis, dim in zip(variable.dims, dims, strict=True):
+                    axis.attach_scale(of[dim])
+        f.flush()
+        return bytes(f.id.get_file_image())
+
+
+def _groups(
+    fit: Fit, summary: Summary, draws: int | None = None
+) -> dict[str, tuple[dict[str, Variable], Arrays]]:
+    """Put the groups of ``posterior.nc`` together: variables, and the places along dimensions.
 
     In ``posterior`` and ``derived`` a walker is a chain. ``widened`` holds both with model
     discrepancy, where recordings show any: the draws that simulations use. ``log_likelihood`` and
@@ -57,22 +96,21 @@ def posterior_tree(
     }
     times = {f"time_{o.name}": o.time for o in outputs}
     described = {name: _description(row) for name, row in summary.rows.items()}
-    datasets = {
-        f"/{group}": _dataset(group, arrays, times, described if group in _IN_UNITS else {})
+    return {
+        group: _labelled(group, arrays, times, described if group in _IN_UNITS else {})
         for group, arrays in groups.items()
     }
-    root = xr.Dataset(attrs=_provenance(fit, summary, config_text, recordings))
-    return xr.DataTree.from_dict({"/": root, **datasets})
 
 
-def _dataset(
+def _labelled(
     group: str,
     arrays: Arrays,
     times: Mapping[str, Array],
     described: Mapping[str, dict[str, str]],
-) -> xr.Dataset:
+) -> tuple[dict[str, Variable], Arrays]:
     """Name and label the dimensions: chain and draw, then the time of the outputs."""
-    variables, coords = {}, {}
+    variables: dict[str, Variable] = {}
+    coords: Arrays = {}
     for name, array in arrays.items():
         dims = [] if group == "observed_data" else ["chain", "draw"]
         if len(dims) < array.ndim:
@@ -81,7 +119,7 @@ def _dataset(
         variables[name] = (dims, array, described.get(name, {}))
         for dim, size in zip(dims, array.shape, strict=True):
             coords[dim] = times.get(dim, np.arange(size))
-    return xr.Dataset(variables, coords)
+    return variables, coords
 
 
 def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str, Arrays]:

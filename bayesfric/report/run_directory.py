@@ -15,7 +15,7 @@ from bayesfric.report.figures.registry import RUN_FIGURES as FIGURES
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import text_files
-from bayesfric.report.posterior_file import posterior_tree
+from bayesfric.report.posterior_file import posterior_bytes
 from bayesfric.report.summary.record import Readable, Summary
 
 
@@ -49,9 +49,8 @@ def write_run(
             encoding="utf-8",
         )
         progress(Progress("draws"))
-        tree = posterior_tree(fit, summary, config_text, recordings, draws)
-        # in memory first: on a full disk HDF5 would end the process
-        (partial / "posterior.nc").write_bytes(tree.to_netcdf(engine="h5netcdf"))
+        content = posterior_bytes(fit, summary, config_text, recordings, draws)
+        (partial / "posterior.nc").write_bytes(content)
         if draws is not None:
             return
         kinds = ALL_KINDS if paper else ON_PAGE

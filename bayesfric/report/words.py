@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -118,10 +120,14 @@ def filled(template: str, **values: Any) -> str:
 
 
 def csv_text(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
-    """Write a table as CSV, every number in full."""
-    import pandas as pd  # slow to import
-
-    return str(pd.DataFrame(list(lines), columns=list(columns)).to_csv(index=False))
+    """Write a table as CSV, every number in full; nothing for what is no number."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    for line in lines:
+        cells = map(line.get, columns)
+        table.writerow([None if cell != cell else cell for cell in cells])  # not a number
+    return text.getvalue()
 
 
 # Of templates of text and of pages.

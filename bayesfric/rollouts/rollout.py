@@ -18,7 +18,7 @@ from bayesfric.fit.model import Model, Result
 from bayesfric.fit.result import result_of
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import autocorrelation
-from bayesfric.mechanism.forward import follow
+from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import (
     document_text,
@@ -174,7 +174,6 @@ def _simulate(
             push=None if disturbance is None else disturbance[rows],
             inputs=replace(o.inputs, recording=offsets[k]) if new else o.inputs,
             begin=float(m.time[0]),
-            held=law.held,
         )
     if chain.delay and not chain.by_target:  # the motion is recorded late
         for row, delay in enumerate((chain.delays(values) / m.period).tolist()):

@@ -94,17 +94,22 @@ def log(
     seconds: float = 20.0,
     seed: int = 1,
     faster: float = 1.0,
+    motors: np.ndarray | None = None,
 ) -> pd.DataFrame:
-    """Record the arm of a URDF with friction, white encoder and torque noise."""
-    rng = np.random.default_rng(seed)
-    time, q, qd, qdd = motion(seconds, faster)
-    rigid = rigid_torque(text, q, qd, qdd, GRAVITY)
+    """Record the arm of a URDF with friction, white encoder and torque noise.
+
+    ``motors`` are their positions per positions of the joints; efforts and friction are theirs.
+    """
+    rng, motors = np.random.default_rng(seed), np.eye(2) if motors is None else motors
+    time, joints, qd, qdd = motion(seconds, faster)
+    rigid = rigid_torque(text, joints, qd, qdd, GRAVITY) @ np.linalg.inv(motors)
+    qd, qdd = qd @ motors.T, qdd @ motors.T
     columns = {"time [s]": time}
     for k, (name, numbers) in enumerate(truth.items()):
         friction = numbers["motor.coulomb"] + numbers["motor.load"] * np.abs(rigid[:, k])
         effort = rigid[:, k] + numbers["motor.inertia"] * qdd[:, k]
         effort += friction * np.sign(qd[:, k]) + numbers["motor.viscous"] * qd[:, k]
-        columns[f"position[{name}] [rad]"] = q[:, k] + 2e-6 * rng.normal(size=time.size)
+        columns[f"position[{name}] [rad]"] = joints[:, k] + 2e-6 * rng.normal(size=time.size)
         columns[f"effort[{name}] [N m]"] = effort + 0.3 * rng.normal(size=time.size)
     return pd.DataFrame(columns)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.arm.arm_options import Payload, Uncertainty
+from bayesfric.arm.arm_options import Coupling, Payload, Uncertainty
 from bayesfric.arm.inertial_prior import Bodies, directions, resolution
 from bayesfric.base.errors import BadInput
 
@@ -72,6 +72,23 @@ def test_a_chain_of_mimic_joints_moves_with_the_joint_whose_motor_carries_all(tm
     assert nominal(coupled, motion)[0] == pytest.approx([1.0, -0.5, -1.0] @ torques)
     with pytest.raises(BadInput, match="mimic each other"):
         arm(second, '<mimic joint="w"/>')
+
+
+def test_torques_of_coupled_joints_are_those_of_their_motors(tmp_path):
+    """By virtual work: their power is that of the joints."""
+    matrix = ((1.0, 0.25), (-0.5, 2.0))
+    (tmp_path / "arm.urdf").write_text(bench.urdf())
+    coupling = Coupling(joints=(bench.ELBOW, bench.SHOULDER), matrix=matrix)
+    coupled = Bodies(tmp_path / "arm.urdf", GRAVITY, coupling)
+    motion = random_motion(2)
+    speed = np.linalg.solve(coupled.motors, motion[1])
+    joints = np.stack([np.linalg.solve(coupled.motors, x) for x in motion])
+    assert motion[1, 1] == pytest.approx(speed[1] + 0.25 * speed[0])  # the elbow's motor
+    free = nominal(bodies_of(tmp_path, bench.urdf()), joints)
+    power = np.sum(free * joints[1], axis=0)
+    assert np.sum(nominal(coupled, motion) * motion[1], axis=0) == pytest.approx(power)
+    with pytest.raises(BadInput, match=r"coupling\.joints"):
+        Bodies(tmp_path / "arm.urdf", GRAVITY, Coupling(joints=("x",), matrix=((1.0,),)))
 
 
 def test_directions_leave_less_than_the_threshold(tmp_path):

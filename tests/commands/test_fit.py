@@ -176,7 +176,7 @@ def interrupt_likelihood(monkeypatch, stop):
 
 
 def interrupt_writing(monkeypatch, stop):
-    monkeypatch.setattr(run_directory, "posterior_tree", stop)
+    monkeypatch.setattr(run_directory, "posterior_bytes", stop)
 
 
 @pytest.mark.usefixtures("unexplained")

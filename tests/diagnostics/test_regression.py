@@ -12,6 +12,7 @@ from bayesfric.diagnostics.candidates import KINDS, filtered_columns
 from bayesfric.diagnostics.motion import MotionSignals
 from bayesfric.diagnostics.regression import (
     Regression,
+    StoredColumns,
     draw_parameters,
     regression_of,
     reported_gradients,
@@ -63,7 +64,7 @@ def columns(rng=None, effect=None, noise=WHITE):
 def selection(effect=None, seed=0, noise=WHITE, number=24, sizes=TRUTH, change=lambda d: d):
     """Set up a regression on random columns; replicates have no error of sensors."""
     data = change(columns(np.random.default_rng(seed), effect, noise))
-    replicates = [change(columns()) for _ in range(number)]
+    replicates = StoredColumns(change(columns()) for _ in range(number))
     scales = SimpleNamespace(torque=2.0, lost=0.5, transient_width=0.25, names=("one", "two"))
     gradients = dict(zip(AXIS.names, np.eye(5), strict=True))
     gradients["sum"] = np.arange(1.0, 6.0)

@@ -12,9 +12,10 @@ import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.processing import fine_motion, settled_delay
+from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import current_loop, multisine
-from bayesfric.mechanism.forward import follow, simulate
+from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lowpass
 from bayesfric.recordings.measurement import Law
@@ -140,10 +141,10 @@ def servo(rate, kp, samples, duration=24.0, seed=0):
     waves = zip((0.21, 0.53, 0.97, 1.7, 2.6), (0.7, 0.4, 0.25, 0.1, 0.05), angles, strict=True)
     goal = sum(a * np.sin(2.0 * np.pi * f * time + p) for f, a, p in waves)
     place = np.floor(np.arange(n * fine) / fine - samples + 1e-9).astype(int)
-    law = Law(kp * goal[np.maximum(place, 0)], np.ones(n * fine), kp, limit=8.0)
+    law = Law(kp * goal[np.maximum(place, 0)], np.ones(n * fine), kp, limit=8.0, held=True)
     q, _ = follow(
         SERVO, SERVO.vector(PENDULUM)[None], law, 1.0 / (rate * fine), [(0, n * fine)],
-        goal[:1], np.zeros(1), held=True,
+        goal[:1], np.zeros(1),
     )  # fmt: skip
     frame = {"t": time, "q": COUNT * np.round(q[0, ::fine] / COUNT), "goal": goal}
     aim = {"column": "goal", "unit": "rad", "kp": f"{kp} N m/rad", "limit": "8 N m", "held": True}

@@ -85,7 +85,10 @@ def test_a_constant_input_moves_a_joint(by):
         load=bf.Load(motion="linear"),
         offset=True,
     )
-    assert_holds(bf.Model(joint, recordings), LIFT, relative=1e-3)
+    model = bf.Model(joint, recordings)
+    assert_holds(model, LIFT, relative=1e-3)
+    # a delay of the back-EMF is J/(kt²/R) times an inertia: it must not be put in
+    assert not [x for x in model.explain().applicable if x.kind == "delay"]
 
 
 def test_a_current_that_never_changes_is_quoted_as_recorded():
@@ -271,6 +274,19 @@ def test_values_that_are_held_over_rows_count_once(rows):
     model = bf.Model(bf.Joint.preset("motor-axis"), recording)
     assert_holds(model, AXIS)
     assert model.recordings[0].time.size == time.size // rows
+
+
+def test_held_rows_of_speed_and_torque_are_steady_points():
+    """Each answer counts once, and speeds of a step or two are a standstill."""
+    rng, step = np.random.default_rng(13), 0.0147
+    speed = np.repeat(rng.uniform(-1.0, 1.0, 600), 4) * (np.arange(2400) % 8 < 4)
+    speed = step * np.round(speed / step + np.repeat(rng.integers(-1, 2, 600), 4))
+    friction = np.where(np.abs(speed) > 3.5 * step, 0.1 * np.sign(speed) + 0.05 * speed, 0.0)
+    torque = friction + np.repeat(0.004 * rng.standard_normal(600), 4)
+    recording = bf.Recording.from_arrays(None, None, torque, velocity=speed, steady=True)
+    model = bf.Model(bf.Joint.preset("motor-axis"), recording)
+    assert_holds(model, {"motor.coulomb": 0.1, "motor.viscous": 0.05})
+    assert model.observations[0].filter.n_outputs == np.sum(np.abs(speed[::4]) > 3.5 * step)
 
 
 def test_a_standstill_and_coarse_steps_are_no_held_rows():

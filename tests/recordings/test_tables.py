@@ -138,4 +138,4 @@ def test_a_name_that_two_columns_have():
     twice = Table("run", ["t", "q", "q"], [np.zeros(3), np.ones(3), np.zeros(3)].__getitem__)
     assert twice.column("t").tolist() == [0.0] * 3
     assert twice.column(2).tolist() == [1.0] * 3
-    has(refusal(lambda: twice.column("q")), "columns 2 and 3 are all named 'q'")
+    has(refusal(lambda: twice.column("q")), "columns 2 and 3 are both named 'q'")

@@ -195,6 +195,58 @@ def test_the_time_column_is_seen(number):
             configured(table, time=time | {"unit": "ms"}, position="position", torque="torque")
 
 
+DATED = pd.Timestamp("2026-03-02T23:59:57")
+
+
+@VARIANTS
+def test_time_in_other_forms(number):
+    """Without a name, in two columns, as steps, ticks, durations and clock times; or two rivals."""
+    rng = np.random.default_rng([16, number])
+    t = np.cumsum(rng.uniform(0.8, 1.2, 1500)) / rng.choice([100.0, 250.0])
+    t -= t[0]
+    ns, form = np.round(t * 1e9) + 1_763_800_000_123_456_789.0 % 2**40, number % 7
+    texts = pd.Series(pd.to_timedelta(t, unit="s"))
+    columns, taken, unit = [
+        ({"": t / 1e-3}, 1, ""),
+        ({"stamp.sec": ns // 1e9, "stamp.nanosec": ns % 1e9}, "stamp.sec + stamp.nanosec", "s"),
+        ({"dt_ms": np.diff(t, prepend=-0.004) / 1e-3}, "sum of dt_ms", "ms"),
+        ({"ticks": np.round(t / 1e-6)}, "ticks", ""),
+        ({"elapsed": texts.to_numpy()}, "elapsed", "s"),
+        ({"elapsed": texts.astype(str).to_numpy(dtype=object)}, "elapsed", "s"),
+        ({"Zeitpunkt": t, "andere": 1.01 * t + 3.0}, units.OPEN, ""),
+    ][form]
+    columns |= {"angle": angle(t), "torque": drive(t), "sample": np.arange(t.size)}
+    table = Table("log", [*columns], [*map(np.asarray, columns.values())].__getitem__)
+    table = with_clocks(table)
+    names, log = chosen(table)
+    assert (names["time"], log.chosen["time"][1]) == (taken, unit)
+    if form == 6:
+        assert "Zeitpunkt or andere" in " ".join(log.problems)
+        return
+    time = {"column": taken, "unit": unit or ("ms" if form == 0 else "us")}
+    recording = configured(table, time=time, position="angle", torque="torque")
+    error = CURVATURE * np.diff(t).max() ** 2 / 8.0 + 1e-5
+    np.testing.assert_allclose(recording.torque, drive(recording.time), atol=error)
+
+
+@VARIANTS
+def test_dated_clocks_of_two_groups(number):
+    """They are counted from one date, also past midnight."""
+    rng = np.random.default_rng([17, number])
+    t = np.arange(0.0, 10.0, 1.0 / rng.uniform(200.0, 500.0))
+    late = t + rng.uniform(0.02, 4.0)
+    stamps = [DATED + pd.to_timedelta(x, unit="s") for x in (t, late)]
+    clocks = [x.to_numpy() if number % 2 else x.astype(str).to_numpy(dtype=object) for x in stamps]
+    columns = {"a/time": clocks[0], "b/time": clocks[1], "a/q": angle(t), "b/tau": drive(late)}
+    table = with_clocks(shuffled(rng, columns))
+    assert table.clocks == {"a/q": "a/time", "b/tau": "b/time"}
+    time = {"column": "a/time", "unit": "s"}
+    recording = configured(table, time=time, position="a/q", torque="b/tau")
+    # dates are whole nanoseconds
+    error = CURVATURE * (t[1] - t[0]) ** 2 / 8.0 + 1e-6
+    np.testing.assert_allclose(recording.torque, drive(recording.time), atol=error)
+
+
 @VARIANTS
 def test_rows_that_where_selects_keep_their_times(number):
     """Pieces of a recording at a rate are segments, and rows of joints that take turns are not."""
@@ -625,21 +677,30 @@ def test_numbers_that_stand_for_failed_reads(number):
 
 
 @VARIANTS
-def test_a_position_that_is_read_more_slowly(number):
-    """Its rows are interpolated; those of a coarse encoder at a steady speed are not."""
+def test_a_signal_that_is_read_more_slowly(number):
+    """Rows that hold a value or lie on a line to the next are none; steps of an encoder are."""
     rng = np.random.default_rng([14, number])
     rate, hold = rng.uniform(300.0, 1000.0), int(rng.integers(2, 9))
     t = np.arange(0.0, 12.0, 1.0 / rate)
-    q = angle(t) if number % 2 else np.round(angle(t), 5)
-    columns = {"t": t, "q": q[np.arange(t.size) // hold * hold], "tau": drive(t)}
+    columns = {"t": t, "q": angle(t) if number % 2 else np.round(angle(t), 5), "tau": drive(t)}
+    key, drawn = ("q", "tau")[number // 2 % 2], number // 4 % 2
+    own = columns[key][np.arange(t.size) // hold * hold]
+    columns[key] = np.interp(t, t[::hold], own[::hold]) if drawn else own
     keys = {"time": "t", "position": "q", "torque": "tau"}
     recording, said = noted(lambda: configured(shuffled(rng, columns), **keys))
-    assert f"held over {hold} rows" in said
+    assert f"{'drawn through' if drawn else 'held over'} {hold} rows" in said
+    assert recording.pace == pytest.approx(rate / hold)
     inner = slice(0, -2 * hold)
-    error = CURVATURE * (hold / rate) ** 2 / 8.0 + 2e-5
+    error = CURVATURE * (hold / rate) ** 2 / 4.0 + 2e-5
     np.testing.assert_allclose(recording.position[inner], angle(recording.time)[inner], atol=error)
+    np.testing.assert_allclose(recording.torque[inner], drive(recording.time)[inner], atol=error)
     columns["q"] = np.floor(np.arange(t.size) / hold)  # one step of an encoder each
-    assert "held over" not in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
+    # and commands: levels of any size, and ramps to and fro
+    columns["tau"] = rng.normal(size=t.size)[np.arange(t.size) // 200]
+    recording, _ = noted(lambda: configured(shuffled(rng, columns), **keys))
+    assert recording.pace is None
+    columns["tau"] = np.abs((np.arange(t.size) % 400) - 200.0) / 100.0
+    assert noted(lambda: configured(shuffled(rng, columns), **keys))[0].pace is None
 
 
 @VARIANTS

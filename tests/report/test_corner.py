@@ -14,8 +14,10 @@ from .made_summaries import failed
 
 
 def panels(figure, n=8):
-    """Axes by row and column."""
-    return np.array(figure.axes).reshape(n, n)
+    """Axes by row and column, of which there are none above the diagonal."""
+    axes = np.full((n, n), None)
+    axes[np.tril_indices(n)] = figure.axes
+    return axes
 
 
 def determined(fit, **changes):

@@ -12,7 +12,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.fit.result import result_of
-from bayesfric.mechanism.forward import follow
+from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Law
 from bayesfric.report.terminal import roll_out_messages

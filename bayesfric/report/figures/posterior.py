@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cache
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,45 +43,32 @@ def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | No
     What the data leave open is hatched, without an interval, and its pairs are not filled. Where
     they leave parameters open, combinations that they determine come first.
     """
-    import corner  # brings ArviZ along, which takes a second or more
-
     # what never moved has no histogram
     moved = [x for x in choice(fit.wide, summary) if np.ptp(x[1]) > 1e-12 * abs(x[1]).max()]
     if not (shown := moved[:max_count]):
         return None
-    number, is_open = len(shown), [row.status == "unidentified" for row, *_ in shown]
+    number, ends = len(shown), [_limits(*x[1:]) for x in shown]
+    away = -0.057 * number  # of labels, in heights of a panel
     with style.paper_style():
         figure = Figure(figsize=(style.PAGE, style.PAGE))
-        corner.corner(
-            np.stack([draws for _, draws, _ in shown], axis=1),
-            fig=figure, range=[_limits(*x[1:]) for x in shown], bins=40, color=style.POSTERIOR,
-            # on two lines: a panel is hardly wider than a unit
-            labels=[style.axis_label(r.symbol, r.name, r.unit, "\n") for r, *_ in shown],
-            label_kwargs={"fontsize": style.SMALL, "linespacing": 1.3}, use_math_text=True,
-            # in bins: closed contours from some thousand draws, hardly wider
-            smooth=1.2, levels=MASSES, fill_contours=True, plot_datapoints=False,
-            plot_density=False, contour_kwargs={"linewidths": (0.6, 0.9)},
-            hist_kwargs={"density": True, "linewidth": 0.8}, quiet=True,
-        )  # fmt: skip
-        figure.subplots_adjust(0.1, 0.12, 0.99, 0.99, wspace=0.08, hspace=0.08)
-        away = -0.057 * number  # of labels, in heights of a panel
-        axes = np.array(figure.axes).reshape(number, number)
+        room: Look = {"left": 0.1, "bottom": 0.12, "right": 0.99, "top": 0.99}
+        grid = figure.add_gridspec(number, number, wspace=0.08, hspace=0.08, **room)
+        diagonal: list[Axes] = []
         for k, quantity in enumerate(shown):
-            _marginal(axes[k, k], *quantity)
-            style.few_ticks(axes[-1, k].xaxis, 3, inner=True)
+            row: list[Axes] = []
+            for other, above in enumerate(diagonal):
+                shared = row[0] if row else None
+                row.append(figure.add_subplot(grid[k, other], sharex=above, sharey=shared))
+                _pair(row[-1], shown[other], quantity, (ends[other], ends[k]))
+                row[-1].tick_params(labelleft=not other, labelbottom=False)
+            if row:
+                _numbers(row[0].yaxis, quantity[0], (away, 0.5))
+            diagonal.append(figure.add_subplot(grid[k, k]))
+            _marginal(diagonal[k], *quantity)
+        for ax, quantity in zip([*row, diagonal[-1]], shown, strict=True):
             # upright: neighbours leave a number no room
-            axes[-1, k].tick_params(axis="x", labelrotation=90)
-            axes[-1, k].xaxis.set_label_coords(0.5, away)
-            _power_in_label(axes[-1, k].xaxis)
-            if k:
-                style.few_ticks(axes[k, 0].yaxis, 3, inner=True)
-                axes[k, 0].tick_params(axis="y", labelrotation=0)
-                axes[k, 0].yaxis.set_label_coords(away, 0.5)
-                _power_in_label(axes[k, 0].yaxis)
-            for other in range(k):
-                if is_open[k] or is_open[other]:
-                    for contours in axes[k, other].collections:
-                        contours.set_visible(not getattr(contours, "filled", False))
+            ax.tick_params(axis="x", labelrotation=90, labelbottom=True)
+            _numbers(ax.xaxis, quantity[0], (0.5, away))
         # in the empty upper triangle
         share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
         contours = Line2D([], [], color=style.POSTERIOR, label=f"around {share} % of the draws")
@@ -86,8 +77,40 @@ def corner_figure(fit: Fit, summary: Summary, max_count: int = 8) -> Figure | No
     return figure
 
 
-def _power_in_label(axis: Axis) -> None:
-    """Write the numbers' power of ten before the unit: at the axis' end is another panel."""
+@cache
+def _hist2d() -> Any:
+    """Load that function of corner, without the package, which imports ArviZ."""
+    package: Any = find_spec("corner")
+    path = Path(package.submodule_search_locations[0], "core.py")
+    spec: Any = spec_from_file_location("bayesfric.corner_core", path)
+    core = module_from_spec(spec)
+    spec.loader.exec_module(core)
+    return core.hist2d
+
+
+def _pair(ax: Axes, across: Shown, up: Shown, ends: Sequence[tuple[float, float]]) -> None:
+    """Draw contours around most draws of two quantities, filled if the data determine both."""
+    filled = "unidentified" not in (across[0].status, up[0].status)
+    _hist2d()(
+        across[1], up[1], ax=ax, range=ends, bins=40, color=style.POSTERIOR, levels=MASSES,
+        # in bins: closed contours from some thousand draws, hardly wider
+        smooth=1.2, fill_contours=filled, no_fill_contours=True, plot_datapoints=False,
+        plot_density=False, contour_kwargs={"linewidths": (0.6, 0.9)}, quiet=True,
+    )  # fmt: skip
+    ax.set(xlim=ends[0], ylim=ends[1])
+    for axis in (ax.xaxis, ax.yaxis):  # without numbers, but at the edge
+        axis.get_offset_text().set_visible(False)
+
+
+def _numbers(axis: Axis, row: ResultRow, place: tuple[float, float]) -> None:
+    """Put few numbers on an axis, and a label on two lines: a panel is hardly wider than a unit.
+
+    The numbers' power of ten is before the unit: at the axis' end is another panel.
+    """
+    style.few_ticks(axis, 3, inner=True)
+    label = style.axis_label(row.symbol, row.name, row.unit, "\n")
+    axis.set_label_text(label, fontsize=style.SMALL, linespacing=1.3)
+    axis.set_label_coords(*place)
     formatter = axis.get_major_formatter()
     formatter.set_locs(axis.get_majorticklocs())  # type: ignore[arg-type]
     symbol, _, unit = axis.get_label_text().rpartition("(")
@@ -127,6 +150,9 @@ def _marginal(ax: Axes, row: ResultRow, draws: Array, prior: Prior | None) -> No
     density, edges = np.histogram(draws, 40, (low, high), density=True)
     look = _OPEN if row.status == "unidentified" else _KNOWN
     ax.stairs(density, edges, fill=True, linewidth=0.0, **look)
+    ax.stairs(density, edges, color=style.POSTERIOR, linewidth=0.8)
+    ax.set_yticks([])
+    ax.tick_params(labelbottom=False)
     if prior is not None:
         grid = np.linspace(low, high, 301)
         line: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "gid": "prior"}

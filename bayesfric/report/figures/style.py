@@ -132,11 +132,18 @@ def mathtext(symbol: str, name: str) -> str:
     # an empty subscript is the paper's bare symbol
     symbol = symbol.replace("_{}", "")
     symbol = re.sub(r"_\{([^{}]*)\}", lambda m: "_{" + _upright(m[1]) + "}", symbol)
+    # parsing takes milliseconds, and symbols differ by the words in them
+    plain = re.sub(r"\\mathrm\{[A-Za-z0-9]+\}", "x", symbol)
+    return f"${symbol}$" if _is_mathtext(plain) else name.replace("$", r"\$")
+
+
+@cache
+def _is_mathtext(symbol: str) -> bool:
     try:
         MathTextParser("path").parse(f"${symbol}$")
     except (ValueError, RuntimeError):
-        return name.replace("$", r"\$")
-    return f"${symbol}$"
+        return False
+    return True
 
 
 def _upright(subscript: str) -> str:

@@ -21,7 +21,7 @@ from bayesfric.report.comparison.comparison import (
 )
 from bayesfric.report.numbers import LATEX
 from bayesfric.report.result_row import GROUPS, ResultRow, table_rows
-from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.record import COLUMNS, Readable, Summary
 from bayesfric.report.words import csv_text, filled
 
 
@@ -98,7 +98,7 @@ def comparison_csv(compared: Comparison) -> str:
 
 def summary_table(summary: Readable) -> str:
     """Write the parameters and derived quantities of a summary as CSV."""
-    return str(Summary.read(summary).frame.to_csv(index=False))
+    return csv_text(Summary.read(summary).lines, COLUMNS)
 
 
 def text_files(summary: Readable, run: str, *, paper: bool) -> dict[str, str]:

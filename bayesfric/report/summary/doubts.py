@@ -133,14 +133,16 @@ def find_doubts(
     determined = [name for name, row in rows.items() if row.verdict == "data"]
     # of the data in any way: a limit, or what they determine with a prior's help, too
     of_data = [name for name, row in rows.items() if row.verdict != "prior" or row.held]
+    # its torque is computed, and only starts the search
+    closed = fit.target.likelihood.method == "closed-loop"
     doubts = [
         *against_prior(contradicted),
         *strange_velocity(fit.observations),
         *_missing(summary, of_data),
         *_unexplained(summary),
-        *doubts_before(fit.estimates[0], fit.observations),
+        *([] if closed else doubts_before(fit.estimates[0], fit.observations)),
         *_cut(summary),
-        *_acceleration(fit, summary, determined),
+        *([] if closed else _acceleration(fit, summary, determined)),
         *correlated(summary, determined),
         *_unchecked(fit, summary),
         *self_check_doubts(summary),

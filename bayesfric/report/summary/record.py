@@ -515,6 +515,11 @@ class Summary(Part):
         """Parameters, then derived quantities: what every view prints, and how it was made."""
         import pandas as pd
 
+        return pd.DataFrame(self.lines, columns=[*COLUMNS])
+
+    @property
+    def lines(self) -> list[dict[str, Any]]:
+        """Lines of :attr:`frame`; those of ``summary.csv`` are its :data:`COLUMNS`."""
         lines = []
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
@@ -525,10 +530,10 @@ class Summary(Part):
                 line["posterior_low"], line["posterior_high"] = row.interval
                 line["widened"] = row.model_error_interval is not None
                 lines.append(line)
-        return pd.DataFrame(lines, columns=[*_FRAME])
+        return lines
 
 
-_FRAME = ("name", "value", "sd", "low", "high", "unit", "status", "findings", "bound", "at_most",
+COLUMNS = ("name", "value", "sd", "low", "high", "unit", "status", "findings", "bound", "at_most",
     "group", "symbol", "meaning", "level", "posterior", "posterior_sd", "posterior_low",
     "posterior_high", "widened", "converged", "rhat", "ess", "prior", "prior_sd",
     "data_sd", "contraction", "undefined_share", "gauge_free")  # fmt: skip

@@ -17,6 +17,7 @@ from bayesfric.identifiability.local import (
     local_information,
     meaning_of,
 )
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES, NoiseChoice
@@ -74,7 +75,12 @@ def summarise(
         derived=derived_rows(fit, local, groups(fit) if derived is None else derived),
         estimates={estimate.method: estimate_table(estimate) for estimate in fit.estimates},
         references={name: ReferenceRow(**values) for name, values in (references or {}).items()},
-        likelihood={"method": fit.target.likelihood.method, "linearisation": change},
+        likelihood={"method": fit.target.likelihood.method, "linearisation": change}
+        | (
+            {"stride": closed.stride}
+            if isinstance(closed := fit.target.likelihood, ClosedLoopLikelihood)
+            else {}
+        ),
         identifiability=Identifiability(null_directions=null),
         noise=_noise(fit, choice),
         fit=_residual(fit),
@@ -100,6 +106,7 @@ def _warnings(
         line_of("unseen-inertia", {"names": unseen}) if unseen else "",
         *(bound_warning(name, row) for name, row in parameters.items() if row.converged),
         line_of("linearised", {"change": change}) if change >= linear else "",
+        line_of("faster", {"names": [*fit.faster]}) if fit.faster else "",
         *(f"{o.name}: {text}" for o in (*fit.observations, *held_out) for text in o.warnings),
     ]
 
@@ -123,7 +130,7 @@ def _sampler(posterior: Posterior) -> Sampler:
 
 def _residual(fit: Fit) -> Residual:
     outputs, observations = fit.target.likelihood.outputs, fit.observations
-    of_torque = fit.target.likelihood.method != "output-error"
+    of_torque = fit.target.likelihood.method == "input-error"
     measured = np.concatenate([o.measured for o in observations])
     # an offset explains nothing: one of each recording, or of all
     alike = [o.measured for o in observations] if fit.chain.own_offsets else [measured]

@@ -1,0 +1,114 @@
+"""What else explains the motion of a closed loop: the regression of its prediction errors.
+
+A candidate is a torque along the motion that the model makes of the targets alone, which no error
+of a prediction has touched (an instrument). Added to the joint in small, the filter says what it
+does to every prediction; that, over the predictions' sds, is its column, less what the model's own
+terms along the same motion make of it. Errors of a right model are independent and standard normal,
+which is what replicates hold.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from bayesfric.diagnostics.candidates import columns_along
+from bayesfric.diagnostics.explanation import Explanation, finding_of
+from bayesfric.diagnostics.motion import MotionSignals, scales_of
+from bayesfric.diagnostics.regression import Regression, StoredColumns, reported_gradients
+from bayesfric.diagnostics.statistics import (
+    REPLICATES,
+    TESTABLE,
+    Columns,
+    Key,
+    Layout,
+    basis_of,
+    project_out,
+)
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.signals import Signals
+
+# Torque of a candidate, as a share of the largest, by which its effect is differentiated.
+_SMALL = 1e-2
+
+
+def explain_closed_loop(target: Target, parameters: Array, seed: int) -> Explanation:
+    """Find what else explains the motion, at sampled parameters ``(d,)``."""
+    begun, likelihood = time.process_time(), target.likelihood
+    assert isinstance(likelihood, ClosedLoopLikelihood)
+    chain, observations = likelihood.chain, likelihood.observations
+    values = target.chain_values(parameters[None])[0]
+    noise = target.noise.scales(parameters[None, len(target.free) :])
+    size, known = np.maximum(np.abs(values), 1e-12), set(chain.names) - set(target.free)
+    steps = np.diag(1e-4 * size)[[name in target.free for name in chain.names]]
+    at_point = likelihood.errors(values[None], noise)
+    errors, sds = [e[0] for e, _ in at_point], [np.sqrt(s[0]) for _, s in at_point]
+    moved = likelihood.errors(values + steps, noise)
+    base = np.zeros((sum(e.size for e in errors), values.size))
+    base[:, [name in target.free for name in chain.names]] = np.concatenate(
+        [-(e - e0).T / sd[:, None] for (e, _), e0, sd in zip(moved, errors, sds, strict=True)]
+    ) / steps.sum(axis=1)
+    scales, blocks, keys = scales_of(chain, values, observations), [], list[Key]()
+    for r in range(len(observations)):
+        motion = MotionSignals(chain, values, *_played(likelihood, values, r), scales)
+        keys, columns = map(list, zip(*columns_along(motion), strict=True))
+        played, at = motion.o, (motion.o.q, motion.o.qd, motion.o.qdd)
+        terms = inverse_torque(chain, values + steps, *at, inputs=played.inputs, time=played.stamps)
+        terms -= inverse_torque(chain, values, *at, inputs=played.inputs, time=played.stamps)
+        z = np.nan_to_num(np.concatenate([np.array(columns), terms / steps.sum(axis=1)[:, None]]))
+        unit = _SMALL * scales.torque / np.maximum(np.abs(z).max(axis=1), 1e-300)
+        pushes: list[Array | None] = [None] * len(observations)
+        pushes[r] = -z * unit[:, None]
+        pushed, _ = likelihood.errors(np.tile(values, (len(z), 1)), noise, pushes)[r]
+        blocks.append(-((pushed - errors[r]) / sds[r]).T / unit * z.any(axis=1))
+    outputs = likelihood.outputs
+    layout = Layout(
+        tuple(o.follows for o in outputs),
+        tuple(np.round((o.time - o.time[0]) / o.period).astype(np.int64) for o in outputs),
+        tuple(o.time for o in outputs),
+    )
+    left = np.concatenate([e / sd for e, sd in zip(errors, sds, strict=True)])
+    others, terms = np.split(np.concatenate(blocks), [len(keys)], axis=1)
+    size_before = np.linalg.norm(others, axis=0)
+    others = project_out(basis_of(terms), others)
+    others *= np.linalg.norm(others, axis=0) > TESTABLE * size_before
+    data = Columns(base, others, left, layout, tuple(keys))
+    right = StoredColumns(replace(data, residual=np.zeros_like(left)) for _ in range(REPLICATES))
+    gradients = {
+        name: gradient
+        for name, gradient in reported_gradients(chain, values, observations).items()
+        if name not in known and np.isfinite(gradient).all()
+    }
+    regression = Regression(data, right, scales, size, gradients, np.random.SeedSequence(seed))
+    effects = regression.effects()
+    return Explanation(
+        tuple(finding_of(chain, effect) for effect in effects if effect.significant),
+        regression.kinds,
+        regression.indistinguishable,
+        largest=effects[0].largest,
+        limit=effects[0].limit,
+        cpu_seconds=time.process_time() - begun,
+    )
+
+
+def _played(likelihood: ClosedLoopLikelihood, values: Array, r: int) -> tuple[Signals, Measurement]:
+    """Replace a recording's motion by the one that its targets make of the model."""
+    o, recording = likelihood.observations[r], likelihood.recordings[r]
+    assert recording.law is not None
+    starts = [a for a, _ in recording.segments]
+    state, more = (o.q[starts], o.qd[starts]), {"inputs": o.inputs, "begin": recording.time[0]}
+    q, qd = follow(
+        likelihood.chain, values[None], recording.law, recording.period, recording.segments,
+        *state, **more,
+    )  # fmt: skip
+    qdd = np.zeros_like(qd[0])
+    for a, b in recording.segments:
+        qdd[a:b] = np.gradient(qd[0, a:b], recording.period)
+    return replace(o, q=q[0], qd=qd[0], qdd=qdd), replace(recording, position=q[0])

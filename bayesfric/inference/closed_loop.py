@@ -1,0 +1,193 @@
+"""Closed-loop likelihood: encoder readings around their prediction from targets and earlier ones.
+
+Without a torque the controller is part of the joint. A cubature Kalman filter predicts every
+reading, see :func:`bayesfric.mechanism.closed_loop.innovations`; the likelihood is that of its
+prediction errors. Noise is a slow random torque (Ornstein-Uhlenbeck) and a white one, the encoder
+beyond its steps, and the instants at which it is read: a reading at another instant is off by the
+speed times that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+
+from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
+from bayesfric.inference.noise import CLOSED_LOOP_NOISE
+from bayesfric.mechanism.closed_loop import innovations
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.signals import Signals
+
+# Longest integration step, s, and times the fastest motion of the closed loop, 1/s: at .3 the
+# error of a Runge-Kutta step is a thousandth of a percent of it.
+_LONGEST, _STEP = 5e-3, 0.3
+# How far a prediction reaches that is to see nothing faster, s.
+HORIZON = 0.02
+_LOG_2PI = math.log(2.0 * math.pi)
+
+
+class ClosedLoopLikelihood:
+    """Likelihood of encoder readings, with steps chosen at a ``point`` ``(n_parameters,)``.
+
+    Every ``stride``-th reading is used. Methods and shapes are those of
+    :class:`bayesfric.inference.likelihood.TorqueLikelihood`; what needs noise scales without being
+    given them has those of :meth:`at`.
+    """
+
+    method: LikelihoodMethod = "closed-loop"
+    noise = CLOSED_LOOP_NOISE
+    slow_evaluations, fast = 0, False
+
+    def __init__(
+        self,
+        chain: Joint,
+        recordings: Sequence[Measurement],
+        observations: Sequence[Signals],
+        point: Array,
+        stride: int = 1,
+    ) -> None:
+        self.chain, self.observations = chain, tuple(observations)
+        self.recordings, self.stride = tuple(recordings), stride
+        pairs = zip(self.recordings, self.observations, strict=True)
+        self._steps = [_step(chain, r, o, point) for r, o in pairs]
+        self._used = [_used(r, stride) for r in recordings]
+        self._values, self._scales = point, np.full((len(recordings), 5), np.nan)
+        unit = "rad" if chain.load.motion == "rotary" else "m"
+        self.outputs = tuple(
+            Outputs(
+                name=r.name,
+                quantity="joint position",
+                unit=unit,
+                time=r.time[used],
+                measured=r.position[used],
+                period=stride * r.period,
+                segment_of=(segment := _segment_of(r)[used]),
+                follows=np.diff(segment) == 0,
+            )
+            for r, used in zip(recordings, self._used, strict=True)
+        )
+
+    def at(self, values: Array, scales: Array) -> ClosedLoopLikelihood:
+        """Return the same likelihood with parameters ``(n_parameters,)`` and scales to refer to."""
+        out = copy(self)
+        out._values, out._scales = values, scales
+        return out
+
+    def with_stride(self, stride: int) -> ClosedLoopLikelihood:
+        """Return the likelihood of every ``stride``-th reading."""
+        return ClosedLoopLikelihood(
+            self.chain, self.recordings, self.observations, self._values, stride
+        ).at(self._values, self._scales)
+
+    @property
+    def longer(self) -> int:
+        """Return the stride of predictions that reach :data:`HORIZON` ahead."""
+        return max(1, round(HORIZON / max(r.period for r in self.recordings)))
+
+    def subsample(self) -> ClosedLoopLikelihood:
+        """Return the likelihood itself."""
+        return self
+
+    def precomputed(self, _: Array) -> ClosedLoopLikelihood:
+        """Return the likelihood itself."""
+        return self
+
+    def errors(
+        self, values: Array, scales: Array, pushes: Sequence[Array | None] | None = None
+    ) -> list[tuple[Array, Array]]:
+        """Return prediction errors ``(n, M)`` and their variances of each recording.
+
+        ``pushes`` ``(n, N)`` are torques in addition, N m or N.
+        """
+        scales = np.broadcast_to(scales, (len(values), *self._scales.shape))
+        out = []
+        for r, (recording, o) in enumerate(zip(self.recordings, self.observations, strict=True)):
+            assert recording.law is not None
+            noise = scales[:, r].copy()
+            noise[:, 2] *= math.sqrt(recording.period)  # a sample's sd to a density
+            error, variance = innovations(
+                self.chain,
+                values,
+                noise,
+                recording.law,
+                recording.period,
+                recording.segments,
+                recording.position,
+                ~recording.excluded,
+                resolution=o.position_step,
+                stride=self.stride,
+                push=None if pushes is None else pushes[r],
+                inputs=o.inputs,
+                begin=float(recording.time[0]),
+                step=self._steps[r],
+            )
+            out.append((error[:, self._used[r]], variance[:, self._used[r]]))
+        return out
+
+    def log_density(self, values: Array, scales: Array) -> Array:
+        """Log-likelihood ``(n,)``; ``-inf`` where a motion is impossible."""
+        total = sum(terms.sum(axis=1) for terms in self.pointwise(values, scales))
+        return np.where(np.isnan(total), -np.inf, total)
+
+    def pointwise(self, values: Array, scales: Array) -> list[Array]:
+        """Log densities ``(n, M)`` a recording, of readings given the earlier ones."""
+        return [-0.5 * (e**2 / s + np.log(s) + _LOG_2PI) for e, s in self.errors(values, scales)]
+
+    def predict(self, values: Array) -> list[Array]:
+        """Predict readings ``(n, M)`` from the earlier ones, rad or m."""
+        errors = self.errors(values, self._scales)
+        return [o.measured - e for o, (e, _) in zip(self.outputs, errors, strict=True)]
+
+    def standardised(self, values: Array, scales: Array) -> list[Array]:
+        """Return standardised errors and half log variances, ``(n, 2 M)`` a recording.
+
+        With their derivatives ``J``, ``J'J`` is the Fisher information, that of the noise scales
+        ``(R, 5)`` or ``(n, R, 5)``, too.
+        """
+        return [
+            np.concatenate([e / np.sqrt(s), 0.5 * np.log(s)], axis=1)
+            for e, s in self.errors(values, scales)
+        ]
+
+    def noise_sd(self, scales: Array) -> list[Array]:
+        """Return sds ``(M,)`` of prediction errors a recording, at scales ``(R, 5)``."""
+        return [np.sqrt(s[0]) for _, s in self.errors(self._values[None], scales)]
+
+    def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
+        """Draw prediction errors ``(n, M)`` a recording, of the sds at the mean scales."""
+        sds = self.noise_sd(scales.mean(axis=0))
+        return [sd * rng.standard_normal((len(scales), sd.size)) for sd in sds]
+
+
+def _step(chain: Joint, recording: Measurement, o: Signals, point: Array) -> float:
+    """Choose the longest integration step for the closed loop's fastest motion at a point."""
+    law = recording.law
+    assert law is not None
+    still, accelerations = np.zeros(2), np.array([0.0, 1.0])
+    torques = inverse_torque(
+        chain, point, still, still, accelerations, inputs=o.inputs, time=o.stamps[:2]
+    )
+    inertia = max(abs(float(torques[1] - torques[0])), 1e-300)
+    _, kd = chain.drive_gains(point[None])
+    scale = float(np.abs(law.scale).max())
+    stiff, damped = scale * law.kp / inertia, (scale * law.kd + kd[0] + law.back_emf) / inertia
+    return float(min(_LONGEST, _STEP / max(math.sqrt(stiff) + damped, 1e-9)))
+
+
+def _used(recording: Measurement, stride: int) -> Flags:
+    """Flag the readings ``(N,)`` that are compared."""
+    used = np.zeros(recording.time.size, dtype=np.bool_)
+    for a, b in recording.segments:
+        used[a + stride : b : stride] = True
+    return used & ~recording.excluded
+
+
+def _segment_of(recording: Measurement) -> Index:
+    lengths = np.diff(np.array(recording.segments), axis=1)[:, 0]
+    return np.repeat(np.arange(lengths.size), lengths)

@@ -1,0 +1,478 @@
+"""The joint under a drive that controls its position: simulated, and predicted from the encoder.
+
+The drive's gains are part of the equation of motion, so a Runge-Kutta step integrates the closed
+loop as it does the joint alone; steps end where the target changes and where the drive reaches its
+limit. The prediction is a cubature Kalman filter: points around the estimated state go through
+the same integrator (Arasaratnam and Haykin, IEEE Transactions on Automatic Control 54 (2009)
+1254-1269).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import ArrayLike
+
+from bayesfric.mechanism.forward import forward_tables, possible
+from bayesfric.mechanism.integrate import (
+    POSITION,
+    SPEED,
+    Carried,
+    Plant,
+    fed_back,
+    integrate,
+    motor_torque,
+    plant_of,
+)
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.kernels import GAIN, INERTIA, VISCOUS
+from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.measurement import Inputs, Law
+
+# A change of regime within a shorter part of a step than this is not located.
+_SHORT = 1e-9
+
+
+class _Drive(NamedTuple):
+    """A :class:`Law` for the compiled functions, with the gains of one parameter vector.
+
+    ``on (scale clip(kp (target - q) - kd qd, limit) - back_emf qd)`` in units of the measured
+    torque.
+    """
+
+    command: Array  # (N,) kp times the target, or a command where the drive does not look
+    factor: float  # by which the vector multiplies it
+    scale: Array  # (N,)
+    on: Array  # (N,) 1 where the drive gives a torque, else 0
+    kp: float
+    kd: float
+    limit: float
+    back_emf: float
+    held: bool  # whether a command is held until the next; else linear
+    delay: float  # by which it acts late on its target, samples
+    period: float  # s
+    begin: float  # s, time of the first sample
+    longest: float  # s, longest step
+
+
+class _Loop(NamedTuple):
+    """A joint and its drive, laid out for ``n`` parameter vectors."""
+
+    elements: Array
+    load: Array
+    carried: Carried | None
+    valid: Flags  # (n,)
+    drive: _Drive  # the gains are those of no vector
+    gains: Array  # (n, 4) factor of the command, kp, kd, delay in samples
+
+
+def _loop(
+    joint: Joint, vectors: Array, law: Law, period: float, inputs: Inputs, begin: float, step: float
+) -> _Loop:
+    elements, load, carried = forward_tables(joint, vectors, inputs)
+    # gains that are parameters act inside the drive's limit, not as a gain and a viscous loss
+    factor, kd = joint.drive_gains(vectors)
+    load[:, GAIN] /= factor
+    elements[:, 0, VISCOUS] -= kd / joint.ratio
+    kp, kd = factor * law.kp, law.kd + kd
+    # a loop that is closed every T s looks T/2 ago, and its speed is late by its filter, too
+    back, lag = 0.5 * (law.loop or 0.0), law.velocity_filter or 0.0
+    elements[:, 0, INERTIA] -= float(law.scale.mean()) * kd * (back + lag) / joint.ratio
+    on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
+    command, scale, on = (
+        np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on)
+    )
+    late = joint.delays(vectors) / period if joint.by_target and law.closed else 0.0 * factor
+    gains = np.stack([factor, kp, kd - back * kp, late], axis=1)
+    limit, back_emf = float(law.limit), float(law.back_emf)
+    drive = _Drive(
+        command, 1.0, scale, on, 0.0, 0.0, limit, back_emf, law.held, 0.0, period, begin, step
+    )
+    return _Loop(elements, load, carried, possible(joint, vectors, elements, load), drive, gains)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _with_gains(drive: _Drive, gains: Array) -> _Drive:
+    return _Drive(
+        drive.command,
+        gains[0],
+        drive.scale,
+        drive.on,
+        gains[1],
+        gains[2],
+        drive.limit,
+        drive.back_emf,
+        drive.held,
+        gains[3],
+        drive.period,
+        drive.begin,
+        drive.longest,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _command(drive: _Drive, first: int, last: int, place: float, held_at: float) -> float:
+    """Command at a place, in samples; one that is held is that at ``held_at``."""
+    if drive.held:
+        i = min(max(math.floor(held_at), first), last)
+        return float(drive.factor * drive.command[i])
+    place = min(max(place, float(first)), float(last))
+    i = min(int(place), max(last - 1, first))
+    j = min(i + 1, last)
+    return drive.factor * float(
+        drive.command[i] + (place - i) * (drive.command[j] - drive.command[i])
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _over_sample(
+    plant: Plant,
+    drive: _Drive,
+    i: int,
+    first: int,
+    last: int,
+    q: float,
+    qd: float,
+    push: float,
+    push_rate: float,
+    out: Array,
+    counts: Index,
+) -> tuple[float, float]:
+    """Move the joint from sample ``i`` to the next of a segment ``first`` to ``last``.
+
+    ``push`` is a torque in addition at the sample, and its change over it. NaN if it runs away.
+    """
+    torque = np.empty(2)
+    j = min(i + 1, drive.scale.shape[0] - 1)
+    knot = drive.delay - math.floor(drive.delay)  # where the target changes
+    for part in range(2):
+        a, b = (0.0, knot) if part == 0 else (knot, 1.0)
+        if b - a < _SHORT:
+            continue
+        steps = math.ceil((b - a) * drive.period / drive.longest - 1e-9)
+        middle = i + 0.5 * (a + b) - drive.delay
+        for s in range(steps):
+            now, end = a + s * (b - a) / steps, a + (s + 1) * (b - a) / steps
+            regime, splits = 0.0, 0
+            while end - now > _SHORT:
+                c0 = _command(drive, first, last, i + now - drive.delay, middle)
+                c1 = _command(drive, first, last, i + end - drive.delay, middle)
+                scale0 = drive.scale[i] + now * (drive.scale[j] - drive.scale[i])
+                scale1 = drive.scale[i] + end * (drive.scale[j] - drive.scale[i])
+                aim0 = c0 - drive.kp * q - drive.kd * qd
+                if splits == 0:
+                    regime = 0.0 if abs(aim0) < drive.limit else math.copysign(1.0, aim0)
+                stiffness, damping, on = 0.0, drive.back_emf, drive.on[i]
+                if regime == 0.0:
+                    scale = 0.5 * (scale0 + scale1)
+                    stiffness, damping = scale * drive.kp, damping + scale * drive.kd
+                else:
+                    c0 = c1 = regime * drive.limit
+                torque[0] = on * scale0 * c0 + push + now * push_rate
+                torque[1] = on * scale1 * c1 + push + end * push_rate
+                looped = fed_back(plant, on * plant.gain * stiffness, on * plant.gain * damping)
+                time, h = drive.begin + (i + now) * drive.period, (end - now) * drive.period
+                if integrate(looped, torque, h, time, True, q, qd, 1, out, counts) < 2:
+                    return math.nan, math.nan
+                q1, qd1 = out[POSITION, 1], out[SPEED, 1]
+                if not abs(q1) < 1e6:
+                    return math.nan, math.nan
+                # the command crosses the limit: go as far as there, then on without or with it
+                aim1 = _command(drive, first, last, i + end - drive.delay, middle)
+                aim1 -= drive.kp * q1 + drive.kd * qd1
+                side = math.copysign(1.0, aim1) if regime == 0.0 else regime
+                before, after = side * aim0 - drive.limit, side * aim1 - drive.limit
+                crosses = after > 0.0 if regime == 0.0 else after < 0.0
+                if not crosses or splits == 4:
+                    q, qd, now = q1, qd1, end
+                    continue
+                share = min(max(before / (before - after), 0.0), 1.0)
+                regime, splits = (side if regime == 0.0 else 0.0), splits + 1
+                if share * (end - now) < _SHORT:
+                    continue
+                torque[1] = torque[0] + share * (torque[1] - torque[0])
+                integrate(looped, torque, share * h, time, True, q, qd, 1, out, counts)
+                q, qd, now = out[POSITION, 1], out[SPEED, 1], now + share * (end - now)
+    return q, qd
+
+
+# --- simulated --------------------------------------------------------------------------
+
+
+def follow(
+    joint: Joint,
+    values: ArrayLike,
+    law: Law,
+    period: float,
+    segments: ArrayLike,
+    q0: ArrayLike,
+    qd0: ArrayLike,
+    *,
+    push: ArrayLike | None = None,
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
+    step: float = 2e-3,
+) -> tuple[Array, Array]:
+    """Simulate the joint while a drive follows its command, restarted in every segment ``(K, 2)``.
+
+    ``push`` is a torque ``(1, N)`` or ``(n, N)`` in addition. Returns positions and speeds
+    ``(n, N)``.
+    """
+    vectors = np.ascontiguousarray(values, dtype=np.float64)
+    rows = np.zeros((1, law.command.size)) if push is None else push
+    q, qd = _follow(
+        *_loop(joint, vectors, law, float(period), inputs, float(begin), float(step)),
+        np.ascontiguousarray(rows, dtype=np.float64),
+        np.asarray(segments, dtype=np.int64),
+        np.asarray(q0, dtype=np.float64),
+        np.asarray(qd0, dtype=np.float64),
+    )
+    return np.asarray(q), np.asarray(qd)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _follow(
+    elements: Array,
+    loads: Array,
+    carried: Carried | None,
+    valid: Flags,
+    drive: _Drive,
+    gains: Array,
+    pushes: Array,
+    segments: Index,
+    q0: Array,
+    qd0: Array,
+) -> tuple[Array, Array]:
+    """Integrate every vector and segment in parallel."""
+    n, pieces, samples = len(elements), segments.shape[0], pushes.shape[1]
+    q_out, qd_out = np.full((n, samples), np.nan), np.full((n, samples), np.nan)
+    for job in prange(n * pieces):
+        v, k = job // pieces, job % pieces
+        if not valid[v]:
+            continue
+        plant = plant_of(elements, loads, carried, v)
+        looped = _with_gains(drive, gains[v])
+        push = pushes[v if pushes.shape[0] > 1 else 0]
+        out, counts = np.empty((4, 2)), np.zeros(2, dtype=np.int64)
+        a, b = segments[k]
+        q, qd = q0[k], qd0[k]
+        for i in range(a, b):
+            q_out[v, i], qd_out[v, i] = q, qd
+            if i < b - 1 and not np.isnan(q):
+                rate = push[i + 1] - push[i]
+                q, qd = _over_sample(plant, looped, i, a, b - 1, q, qd, push[i], rate, out, counts)
+    return q_out, qd_out
+
+
+# --- predicted --------------------------------------------------------------------------
+
+# Parameters of the noise: sd of a slow random torque and its time constant, density of white
+# torque noise, sd of the encoder beyond its steps, and sd of the sampling instants.
+SLOW_TORQUE, SLOW_TIME, WHITE_TORQUE, ENCODER, INSTANTS = range(5)
+# Readings in a row that repeat their rounding error, at most.
+_REPEATS = 20
+
+
+def innovations(
+    joint: Joint,
+    values: ArrayLike,
+    noise: ArrayLike,
+    law: Law,
+    period: float,
+    segments: ArrayLike,
+    position: Array,
+    compared: Flags,
+    *,
+    resolution: float,
+    stride: int = 1,
+    push: ArrayLike | None = None,
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
+    step: float = 5e-3,
+) -> tuple[Array, Array]:
+    """Predict every encoder reading from the ones before it, for parameter vectors ``(n, d)``.
+
+    Parameters
+    ----------
+    noise
+        ``(n, 5)`` sd of the slow random torque (in units of the measured torque) and its time
+        constant, s; density of white torque noise, torque times root of s; sd of the encoder
+        beyond its steps, rad or m; sd of the sampling instants, s.
+    position, compared
+        ``(N,)`` readings, and whether each is one that the model must explain.
+    resolution
+        Step of the encoder, rad or m.
+    stride
+        Only every so many readings are used: the horizon of the prediction.
+    push
+        ``(1, N)`` or ``(n, N)`` known torque in addition, in units of the measured torque.
+
+    Returns
+    -------
+    tuple of ndarray
+        Readings less their predictions, and the variances of these differences, ``(n, N)``; zero
+        and one where no reading is compared, NaN where a motion is impossible.
+    """
+    vectors = np.ascontiguousarray(values, dtype=np.float64)
+    rows = np.broadcast_to(0.0 if push is None else push, (len(vectors), position.size))
+    error, variance = _innovations(
+        *_loop(joint, vectors, law, float(period), inputs, float(begin), float(step)),
+        np.ascontiguousarray(noise, dtype=np.float64),
+        np.ascontiguousarray(rows, dtype=np.float64),
+        np.asarray(segments, dtype=np.int64),
+        np.ascontiguousarray(position, dtype=np.float64),
+        compared,
+        float(resolution) / math.sqrt(12.0),
+        stride,
+    )
+    return np.asarray(error), np.asarray(variance)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _innovations(
+    elements: Array,
+    loads: Array,
+    carried: Carried | None,
+    valid: Flags,
+    drive: _Drive,
+    gains: Array,
+    noise: Array,
+    pushes: Array,
+    segments: Index,
+    y: Array,
+    compared: Flags,
+    rounding: float,
+    stride: int,
+) -> tuple[Array, Array]:
+    n = len(elements)
+    errors, variances = np.zeros((n, y.size)), np.ones((n, y.size))
+    for v in prange(n):
+        if not valid[v]:
+            errors[v] = np.nan
+            continue
+        plant = plant_of(elements, loads, carried, v)
+        looped = _with_gains(drive, gains[v])
+        error, variance = errors[v], variances[v]
+        for k in range(segments.shape[0]):
+            a, b = segments[k]
+            _filter(
+                plant,
+                looped,
+                noise[v],
+                pushes[v],
+                a,
+                b,
+                y,
+                compared,
+                rounding,
+                stride,
+                error,
+                variance,
+            )
+    return errors, variances
+
+
+@njit(cache=True, error_model="numpy")
+def _root(p: Array, root: Array) -> None:
+    """Cholesky root of a covariance (3, 3), also of a singular one."""
+    for i in range(3):
+        for j in range(i + 1):
+            s = p[i, j]
+            for m in range(j):
+                s -= root[i, m] * root[j, m]
+            if i == j:
+                root[i, i] = math.sqrt(max(s, 0.0))
+            else:
+                root[i, j] = s / root[j, j] if root[j, j] > 1e-150 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _filter(
+    plant: Plant,
+    drive: _Drive,
+    noise: Array,
+    known: Array,
+    first: int,
+    end: int,
+    y: Array,
+    compared: Flags,
+    rounding: float,
+    stride: int,
+    errors: Array,
+    variances: Array,
+) -> None:
+    """Filter one segment; the state is position, speed and the slow torque (measured units)."""
+    period = drive.period
+    x, p, root = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    points, gain = np.zeros((6, 3)), np.zeros(3)
+    out, counts = np.empty((4, 2)), np.zeros(2, dtype=np.int64)
+    inertia = motor_torque(plant, 0.0, 0.0, 1.0, 0.0, 0.0)
+    inertia -= motor_torque(plant, 0.0, 0.0, 0.0, 0.0, 0.0)
+    # in units of the measured torque, at the gains that the law was read with
+    unit, slow = drive.factor, noise[SLOW_TORQUE] * drive.factor
+    base = noise[ENCODER] ** 2 + rounding**2
+    last = min(first + 2, end - 1)
+    speed = (y[last] - y[first]) / max((last - first) * period, period)
+    x[0], x[1] = y[first], speed
+    p[0, 0], p[1, 1] = base, (0.3 * speed) ** 2 + base / period**2
+    p[2, 2] = slow**2
+    keeps = math.exp(-period / noise[SLOW_TIME])
+    kick = (plant.gain * noise[WHITE_TORQUE] * unit / inertia) ** 2 * period
+    run = 1
+    for k in range(first, end):
+        if k > first and (k - first) % stride == 0 and compared[k]:
+            run = run + 1 if y[k] == y[k - stride] else 1
+            # repeated readings repeat their error; one at another instant is off by its speed
+            s = p[0, 0] + noise[ENCODER] ** 2 + rounding**2 * min(run, _REPEATS)
+            s += (noise[INSTANTS] * x[1]) ** 2
+            error = y[k] - x[0]
+            errors[k], variances[k] = error, s
+            for i in range(3):
+                gain[i] = p[i, 0] / s
+            for i in range(3):
+                x[i] += gain[i] * error
+            for i in range(3):
+                for j in range(i + 1):
+                    p[i, j] -= gain[i] * gain[j] * s
+                    p[j, i] = p[i, j]
+        if k + 1 == end:
+            break
+        _root(p, root)
+        for i in range(3):
+            for side in range(2):
+                r = 2 * i + side
+                shift = math.sqrt(3.0) * (1.0 if side == 0 else -1.0)
+                push = x[2] + shift * root[2, i]
+                points[r, 0], points[r, 1] = _over_sample(
+                    plant,
+                    drive,
+                    k,
+                    first,
+                    end - 1,
+                    x[0] + shift * root[0, i],
+                    x[1] + shift * root[1, i],
+                    push + known[k],
+                    known[k + 1] - known[k],
+                    out,
+                    counts,
+                )
+                points[r, 2] = keeps * push
+        for i in range(3):
+            x[i] = points[:, i].mean()
+        for i in range(3):
+            for j in range(i + 1):
+                s = 0.0
+                for r in range(6):
+                    s += (points[r, i] - x[i]) * (points[r, j] - x[j])
+                p[i, j] = p[j, i] = s / 6.0
+        p[2, 2] += slow**2 * (1.0 - keeps**2)
+        p[1, 1] += kick
+        p[0, 1] += 0.5 * kick * period
+        p[1, 0] = p[0, 1]
+        p[0, 0] += kick * period**2 / 3.0
+        if not (abs(x[0]) < 1e6 and math.isfinite(x[1])):
+            errors[k + 1 : end] = math.nan
+            return
