@@ -45,7 +45,7 @@ LONG = {
     "commands": """
         doubts estimate explain fit identify runs""",
     "diagnostics": """
-        replicates explanation regression""",
+        calibration_check explanation regression replicates""",
     "estimates": """
         assemble input_error output_error processing""",
     "fit": """
@@ -57,7 +57,7 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy likelihood_dense moments proposals sampling standstill""",
+        discrepancy likelihood_dense moments position_likelihood proposals sampling standstill""",
     "mechanism": """
         closed_loop quantities""",
     "population": """

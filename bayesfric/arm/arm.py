@@ -125,13 +125,15 @@ class Arm:
             ]
             report(Progress("torque of the bodies"))
             prior, others = bodies.prior(options.urdf, options.payload), names[fitted_count:]
-            joints, models, torques = self._models(bodies, prior, logs, others, options.delay)
+            delay = options.delay or 0.0
+            joints, models, torques = self._models(bodies, prior, logs, others, delay)
             late = common_delay(models) if options.delay is None else None
-            delay = late.value if late is not None and late.evident else options.delay or 0.0
+            evident = late is not None and late.evident
             directions = {name: joint.directions for name, joint in joints.items()}
             known = options.payload.given
             factors = common_factors(bodies, prior, logs, models, directions, payload=known)
-            if factors.changes or late is not None:
+            if factors.changes or evident:
+                delay = late.value if late is not None and evident else delay
                 bodies, prior = bodies.under(factors.gravity), prior.widened(factors.widths)
                 for log in logs:
                     log.scales = factors.scales
@@ -155,7 +157,7 @@ class Arm:
         prior: InertialPrior,
         logs: Sequence[ArmLog],
         held_out: Sequence[str],
-        delay: float | None,
+        delay: float,
     ) -> tuple[dict[str, FittedJoint], dict[str, Model], dict[str, list[Array]]]:
         """Make the joints that are to be fitted, and the models of those that can be.
 
@@ -262,11 +264,11 @@ class Arm:
         logs: Sequence[ArmLog],
         torques: Sequence[Array],
         held_out: Sequence[str],
-        delay: float | None,
+        delay: float,
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque.
 
-        ``delay`` is that of positions after efforts, s, unknown if None; options may have another.
+        ``delay`` is that of positions after efforts, s, unless the joint's options have another.
         """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)

@@ -133,6 +133,7 @@ def _warm_up(
 ) -> bool:
     """Run and adapt the proposal; return whether the second half of the steps settled."""
     gain = math.inf
+    progress(Progress("warm-up"))
     while True:
         sampler.run(block)
         sampler.replace_stuck()
@@ -163,6 +164,7 @@ def _run_until_converged(
     Return whether to stop sampling, and the number of steps needed if that is hopeless, else 0.
     """
     needed = math.inf
+    progress(Progress("sampling"))
     while True:
         # checks at growing distances, as frequent checks stop by chance; earlier if predicted
         steps = max(block, sampler.steps // 3)

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, pchip
 from bayesfric.recordings.measurement import (
     Grid,
     Inputs,
@@ -35,6 +35,7 @@ from bayesfric.recordings.source import (
     Columns,
     Current,
     Effort,
+    Filtered,
     Position,
     Processing,
     Recording,
@@ -352,11 +353,8 @@ def _as_measured(
     between, notes, paces = dict[str | int, Array](), list[str](), list[float]()
     for key, values in signals.items() if not source.steady else ():
         if (own := checks.own_rows(values, time)) is not None:
-            from scipy.interpolate import pchip_interpolate
-
             rows, how = own
-            inside = np.clip(time, *time[rows[[0, -1]]])
-            between[columns[key]] = pchip_interpolate(time[rows], values[rows], inside)
+            between[columns[key]] = pchip(time, time[rows], values[rows])
             notes.append(f"{key}: each value is {how}; interpolated between")
             paces.append(1.0 / float(np.median(np.diff(time[rows]))))
     return table.decoded(between, notes), time, never, min(paces, default=None), []
@@ -475,7 +473,7 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
 
 def _lag(channel: Channel | None) -> Lag | None:
     """Return the low-pass that a channel passed before it was recorded, where one is known."""
-    if not isinstance(channel, Velocity | Torque | Current) or channel.lowpass is None:
+    if not isinstance(channel, Filtered) or channel.lowpass is None:
         return None
     return channel.lowpass, channel.lowpass_order
 

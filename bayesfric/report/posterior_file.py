@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import platform
 from collections.abc import Mapping
@@ -28,8 +29,6 @@ _IN_UNITS = ("posterior", "derived", "prior", "widened")
 
 # Some arrays are of whole numbers, or of single precision.
 Arrays = dict[str, NDArray[Any]]
-# A variable: the names of its dimensions, its values and attributes.
-Variable = tuple[list[str], NDArray[Any], dict[str, str]]
 
 
 def posterior_tree(
@@ -38,10 +37,8 @@ def posterior_tree(
     """Return the contents of ``posterior.nc`` for xarray and ArviZ."""
     import xarray as xr  # takes half a second
 
-    groups = _groups(fit, summary)
-    datasets = {f"/{group}": xr.Dataset(*of) for group, of in groups.items()}
-    root = xr.Dataset(attrs=_provenance(fit, summary, config_text, recordings))
-    return xr.DataTree.from_dict({"/": root, **datasets})
+    content = posterior_bytes(fit, summary, config_text, recordings)
+    return xr.load_datatree(io.BytesIO(content), engine="h5netcdf")
 
 
 def posterior_bytes(
@@ -51,34 +48,13 @@ def posterior_bytes(
     recordings: list[Measurement],
     draws: int | None = None,
 ) -> bytes:
-    """Return ``posterior.nc``, NetCDF 4: HDF5 whose dimensions are scales; see :func:`_groups`.
+    """Return ``posterior.nc``, NetCDF 4: HDF5 whose dimensions are scales.
 
-    It is made in memory: on a full disk HDF5 would end the process.
-    """
-    with h5py.File("posterior.nc", "w", driver="core", backing_store=False, track_order=True) as f:
-        f.attrs.update(_provenance(fit, summary, config_text, recordings))
-        for group, (variables, coords) in _groups(fit, summary, draws).items():
-            of = f.create_group(group, track_order=True)
-            for dim, places in coords.items():
-                of.create_dataset(dim, data=places).make_scale(dim)
-            for name, (dims, values, attributes) in variables.items():
-                variable = of.create_dataset(name, data=values)
-                variable.attrs.update(attributes)
-                for axis, dim in zip(variable.dims, dims, strict=True):
-                    axis.attach_scale(of[dim])
-        f.flush()
-        return bytes(f.id.get_file_image())
-
-
-def _groups(
-    fit: Fit, summary: Summary, draws: int | None = None
-) -> dict[str, tuple[dict[str, Variable], Arrays]]:
-    """Put the groups of ``posterior.nc`` together: variables, and the places along dimensions.
-
-    In ``posterior`` and ``derived`` a walker is a chain. ``widened`` holds both with model
-    discrepancy, where recordings show any: the draws that simulations use. ``log_likelihood`` and
-    ``posterior_predictive`` hold a number for each output and a subset of the draws. A light run
-    has so many ``draws`` of posterior and prior.
+    It is made in memory: on a full disk HDF5 would end the process. In ``posterior`` and
+    ``derived`` a walker is a chain. ``widened`` holds both with model discrepancy, where recordings
+    show any: the draws that simulations use. ``log_likelihood`` and ``posterior_predictive`` hold a
+    number for each output and a subset of the draws. A light run has so many ``draws`` of posterior
+    and prior.
     """
     posterior, outputs = fit.posterior, fit.target.likelihood.outputs
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
@@ -96,30 +72,33 @@ def _groups(
     }
     times = {f"time_{o.name}": o.time for o in outputs}
     described = {name: _description(row) for name, row in summary.rows.items()}
-    return {
-        group: _labelled(group, arrays, times, described if group in _IN_UNITS else {})
-        for group, arrays in groups.items()
-    }
+    with h5py.File("posterior.nc", "w", driver="core", backing_store=False, track_order=True) as f:
+        f.attrs.update(_provenance(fit, summary, config_text, recordings))
+        for name, arrays in groups.items():
+            group = f.create_group(name, track_order=True)
+            _write(group, arrays, times, described if name in _IN_UNITS else {})
+        f.flush()
+        return bytes(f.id.get_file_image())
 
 
-def _labelled(
-    group: str,
+def _write(
+    group: h5py.Group,
     arrays: Arrays,
     times: Mapping[str, Array],
     described: Mapping[str, dict[str, str]],
-) -> tuple[dict[str, Variable], Arrays]:
-    """Name and label the dimensions: chain and draw, then the time of the outputs."""
-    variables: dict[str, Variable] = {}
-    coords: Arrays = {}
+) -> None:
+    """Write arrays with their dimensions: chain and draw, then the time of the outputs."""
     for name, array in arrays.items():
-        dims = [] if group == "observed_data" else ["chain", "draw"]
+        dims = [] if group.name == "/observed_data" else ["chain", "draw"]
         if len(dims) < array.ndim:
             time = f"time_{name}"
             dims = [*dims, time if time in times else f"term_{name}"]
-        variables[name] = (dims, array, described.get(name, {}))
-        for dim, size in zip(dims, array.shape, strict=True):
-            coords[dim] = times.get(dim, np.arange(size))
-    return variables, coords
+        variable = group.create_dataset(name, data=array)
+        variable.attrs.update(described.get(name, {}))
+        for axis, dim, size in zip(variable.dims, dims, array.shape, strict=True):
+            if dim not in group:
+                group.create_dataset(dim, data=times.get(dim, np.arange(size))).make_scale(dim)
+            axis.attach_scale(group[dim])
 
 
 def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str, Arrays]:
@@ -183,7 +162,7 @@ def _pointwise(
         # the position's terms are combinations of outputs, two fewer a segment
         same = density.shape[1] == o.measured.size
         name = o.name if same else f"{o.name}.terms"
-        log_likelihood[name] = density.reshape(e, n, -1)
+        log_likelihood[name] = density.reshape(e, n, -1).astype(np.float32)
         predictive[o.name] = (predicted + noise).reshape(e, n, -1).astype(np.float32)
     return log_likelihood, predictive
 

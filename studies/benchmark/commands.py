@@ -2,8 +2,9 @@
 
 ``python studies/benchmark/commands.py [--source OLDER-TREE] [--runs 7]`` runs each command in a
 separate process, alternating with the imports, on the packaged (SIMULATED) knee, and prints
-medians: wall seconds until the first line and until the end, CPU seconds, and
-ratios to the imports. ``--source`` is another checkout to time. Writes ``commands.json``
+medians: seconds and CPU seconds until the first line, which is that of the table, and until the
+end, and the ratios of CPU seconds to the imports: a busy machine changes them least. A first run
+has nothing compiled. ``--source`` is another checkout to time. Writes ``commands.json``
 (``commands-before.json`` with ``--source``).
 """
 
@@ -23,7 +24,8 @@ from statistics import median
 from typing import Any
 
 FOLDER = Path(__file__).resolve().parent
-IMPORTS = "import numpy, scipy.stats, emcee, arviz, matplotlib"
+IMPORTS = "import numpy, scipy, emcee, arviz, matplotlib.pyplot"
+FIRST = "demo, first run"
 BAYESFRIC = ["-m", "bayesfric"]
 COMMANDS: dict[str, list[str]] = {
     "the libraries' imports": ["-c", IMPORTS],
@@ -32,31 +34,40 @@ COMMANDS: dict[str, list[str]] = {
     "identify": [*BAYESFRIC, "identify", "knee.toml"],
     "estimate": [*BAYESFRIC, "estimate", "knee.toml", "--method", "input-error"],
     "demo": [*BAYESFRIC, "demo", "-o", "RUN"],
+    FIRST: [*BAYESFRIC, "demo", "-o", "RUN"],
     "demo --paper": [*BAYESFRIC, "demo", "--paper", "-o", "RUN"],
 }
 
 
-def timed(words: list[str], source: Path, folder: Path) -> tuple[float, float, float]:
-    """Run once; return wall seconds to the first line and to the end, and CPU seconds."""
+def cpu_seconds(process: int) -> float:
+    """Return the CPU seconds of a running process so far, on Linux."""
+    fields = Path(f"/proc/{process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
+def timed(
+    words: list[str], source: Path, folder: Path, **environment: str
+) -> tuple[float, float, float, float]:
+    """Run once; return seconds to the first line and the end, then CPU seconds, end first."""
     run = folder / "RUN"
     shutil.rmtree(run, ignore_errors=True)
     before, began = os.times(), time.monotonic()
     with subprocess.Popen(
         [sys.executable, *words],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(source)},
+        env={**os.environ, "PYTHONPATH": str(source), **environment},
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     ) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        first = time.monotonic() - began
+        first, first_cpu = time.monotonic() - began, cpu_seconds(process.pid)
         process.stdout.read()
     end, after = time.monotonic() - began, os.times()
     if process.returncode not in (0, 3):
         raise SystemExit(f"{words}: {process.returncode}")
     cpu = after.children_user + after.children_system
-    return first, end, cpu - before.children_user - before.children_system
+    return first, end, cpu - before.children_user - before.children_system, first_cpu
 
 
 def main() -> None:
@@ -69,7 +80,7 @@ def main() -> None:
     words = dict(COMMANDS)
     if options.source:
         words.pop("demo --paper")  # older versions lack the option
-    times: dict[str, list[tuple[float, float, float]]] = {name: [] for name in words}
+    times: dict[str, list[tuple[float, ...]]] = {name: [] for name in words}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file in ("knee.toml", "knee.csv"):
@@ -78,8 +89,11 @@ def main() -> None:
             timed(command, source, folder)  # compiles, and fills the disk cache
         for _ in range(options.runs):
             for command, line in words.items():
-                times[command].append(timed(line, source, folder))
-    base = median(end for _, end, _ in times["the libraries' imports"])
+                cache = folder / "numba"
+                shutil.rmtree(cache, ignore_errors=True)
+                environment = {"NUMBA_CACHE_DIR": str(cache)} if command == FIRST else {}
+                times[command].append(timed(line, source, folder, **environment))
+    base = median(run[2] for run in times["the libraries' imports"])
     result: dict[str, Any] = {
         "machine": f"{os.cpu_count()} cores, Python {platform.python_version()}",
         "runs": options.runs,
@@ -87,9 +101,10 @@ def main() -> None:
             name: {
                 "first_line": median(run[0] for run in runs),
                 "seconds": median(run[1] for run in runs),
+                "first_line_cpu": median(run[3] for run in runs),
                 "cpu_seconds": median(run[2] for run in runs),
-                "first_line_over_imports": median(run[0] for run in runs) / base,
-                "over_imports": median(run[1] for run in runs) / base,
+                "first_line_over_imports": median(run[3] for run in runs) / base,
+                "over_imports": median(run[2] for run in runs) / base,
             }
             for name, runs in times.items()
         },

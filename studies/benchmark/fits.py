@@ -2,8 +2,9 @@
 
 ``python studies/benchmark/fits.py [--runs 3] [--fits demo emps]`` fits each configuration in
 separate processes, alternating with the imports, and prints medians: until the numbers are known,
-until everything is written, of each stage of the progress bar, and the sampler's diagnostics. The
-demo is SIMULATED, the others are MEASURED (../shared/data). Writes ``fits.json``.
+until everything is written, of each stage of the progress bar, and the sampler's diagnostics, with
+the CPU seconds from its start to 2,000 independent draws of every parameter. The demo is
+SIMULATED, the others are MEASURED (../shared/data). Writes ``fits.json``.
 """
 
 from __future__ import annotations
@@ -92,6 +93,9 @@ def main() -> None:
         stages = {s: median(fit["stages"].get(s, 0.0) for fit in runs) for s in runs[0]["stages"]}
         ends = {end: median(fit[end] for fit in runs) for end in ("numbers", WRITTEN)}
         sampler = runs[-1]["sampler"]  # the same in all
+        sampler["to_2000"] = stages["warm-up"] + stages["sampling"] * 2000.0 / sampler["min_ess"]
+        sampler["to_2000_over_imports"] = sampler["to_2000"] / base
+        sampler["warmup_share"] = stages["warm-up"] / sampler["to_2000"]
         result[name] = {"imports": base, **ends, "sampler": sampler, "stages": stages}
         print(f"{name}: " + ", ".join(f"{k} {v:.1f} = {v / base:.1f} ×" for k, v in ends.items()))
         print("    " + ", ".join(f"{key} {x:.4g}" for key, x in sampler.items()))

@@ -21,7 +21,7 @@ def examined(folder, changed, bodies=None):
     layout, _ = layout_of(folder / "log.csv", arm.bodies.joints, arm.options, None)
     log = ArmLog(folder / "log.csv", "log", arm.options, layout, arm.bodies.joints, 50_000)
     prior = arm.bodies.prior(arm.options.urdf, arm.options.payload)
-    joints, models, _ = arm._models(arm.bodies, prior, [log], [], None)
+    joints, models, _ = arm._models(arm.bodies, prior, [log], [], 0.0)
     directions = {name: joint.directions for name, joint in joints.items()}
     return common_factors(arm.bodies, prior, [log], models, directions, payload=False)
 

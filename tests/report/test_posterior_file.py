@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayesfric.report.posterior_file import posterior_bytes, posterior_tree
+from bayesfric.report.posterior_file import posterior_bytes
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
@@ -41,14 +41,6 @@ def run(fitted, path):
 
 def test_two_writes_are_the_same(fitted, path):
     assert written(*fitted) == path.read_bytes()
-
-
-def test_the_file_is_what_xarray_makes_of_the_tree(run):
-    fit, summary, data = run
-    tree = posterior_tree(fit, summary, CONFIG, [])
-    assert set(tree.groups) == set(data.groups)
-    for name, group in tree.subtree_with_keys:
-        assert group.to_dataset().identical(data[name].to_dataset())
 
 
 def test_arviz_reads_it(run, path):
