@@ -135,8 +135,8 @@ class Arm:
             if factors.changes or evident:
                 delay = late.value if late is not None and evident else delay
                 bodies, prior = bodies.under(factors.gravity), prior.widened(factors.widths)
-                for log in logs:
-                    log.scales = factors.scales
+                for arm_log in logs:
+                    arm_log.scales = factors.scales
                 joints, models, torques = self._models(bodies, prior, logs, others, delay)
             for name, model in models.items():
                 report(Progress(name))

@@ -71,7 +71,8 @@ class CommonFactors:
         doubt = {"kind": "effort-scale", "parameters": of, "factor": factor, "sd": sd}
         doubt["where"] = "" if self.has("effort", name) else " at all joints"
         doubt["cause"] = "the opposite sign" if factor < 0.0 else "another unit, or a gear ratio"
-        return replace(result, summary=put_doubts(summary, [*summary.doubts, doubt]))
+        doubts = [message.model_dump() for message in summary.doubts]
+        return replace(result, summary=put_doubts(summary, [*doubts, doubt]))
 
 
 def bodies_torques(o: Signals) -> Array:
