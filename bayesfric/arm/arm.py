@@ -136,7 +136,12 @@ class Arm:
             fitted = dict[str, FittedJoint]()
             for name, effort in efforts.items():
                 directions, torques, resolved = projected[name]
-                joint = FittedJoint(bodies.joints[name], options.of(name).gear_ratio, directions)
+                joint = FittedJoint(
+                    bodies.joints[name],
+                    options.of(name).gear_ratio,
+                    directions,
+                    repeatability=options.repeatability,
+                )
                 if isinstance(effort, BadInput):
                     joint = replace(joint, failure=str(effort))
                 else:

@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy.stats import norm
 
 from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import NUMBERS
+from bayesfric.arm.arm_options import NUMBERS, Repeatability
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
 from bayesfric.arm.joint_consistency import (
     UNLIKELY,
@@ -32,7 +33,7 @@ from bayesfric.base import __version__
 from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.model import Result
 from bayesfric.identifiability.local import WIDE
-from bayesfric.inference.posterior import Posterior, predict_held_out
+from bayesfric.inference.posterior import Posterior, Prediction, predict_held_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.pages import render
@@ -45,6 +46,8 @@ from bayesfric.report.words import filled
 COLUMNS = [number.title for number in NUMBERS.values() if number.title]  # of the table
 # Draws by which a joint's numbers follow the others.
 _DRAWS = 4000
+# Draws of predictions.
+_PREDICTED = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,7 @@ class FittedJoint:
     failure: str = ""
     remarks: tuple[str, ...] = ()
     is_coupled: bool = False  # by its data, while no option says so
+    repeatability: Repeatability = field(default_factory=Repeatability)
     is_loaded: bool = True  # whether the log resolves its rigid-body torque
     # torque_rms of the bodies on this motion, N m or N, and doubt_rms, the prior sd of that
     urdf: Mapping[str, float] = field(default_factory=dict)
@@ -148,18 +152,39 @@ class FittedJoint:
         if joint.by_all:
             draws = self.draws(z[rng.integers(len(z), size=_DRAWS)], rng)
             draws = draws[np.isfinite(draws).all(axis=1)]
-            posterior = replace(
-                posterior,
-                draws=draws[None, None],
-                log_density=np.full((1, 1, len(draws)), np.nan),
-                diagnostics=replace(posterior.diagnostics, acceptance=np.ones((1, 1))),
-            )
+            posterior = _with_draws(posterior, draws)
             joint = replace(joint, rows=self._updated_rows(posterior))
         if not model.held_out:
             return joint
-        held_out = predict_held_out(fit.target, posterior, model.held_out)
-        validation = validation_record(replace(fit, held_out=held_out))
-        return replace(joint, validation=validation)
+        held_out = joint.predicted(posterior, rng)
+        return replace(joint, validation=validation_record(replace(fit, held_out=held_out)))
+
+    def predicted(self, posterior: Posterior, rng: np.random.Generator) -> tuple[Prediction, ...]:
+        """Predict the held-out logs.
+
+        About the mean of a posterior, bands have the model discrepancy, and allow friction and
+        efforts to differ as far as ``repeatability`` says.
+        """
+        fit, held_out = self.fitted.fit, self.fitted.model.held_out
+        wide = posterior if self.by_all else fit.wide.posterior
+        draws = wide.flat(_PREDICTED).copy()
+        quantiles = norm.ppf((np.arange(len(draws)) + 0.5) / len(draws))
+        for key in ("coulomb", "viscous", "load"):
+            change = 1.0 + self.repeatability.friction * rng.permutation(quantiles)
+            at = [k for k, name in enumerate(wide.names) if name in NUMBERS[key].parameters]
+            draws[:, at] *= np.maximum(change, 0.0)[:, None]
+        predictions = []
+        for mean, spread in zip(
+            predict_held_out(fit.target, posterior, held_out),
+            predict_held_out(fit.target, _with_draws(wide, draws), held_out),
+            strict=True,
+        ):
+            n = len(spread.torque)
+            change = rng.permutation(quantiles)[:n, None] * self.repeatability.effort
+            torque = spread.torque * (1.0 + change)
+            torque += mean.mean - torque.mean(axis=0)
+            predictions.append(replace(spread, torque=torque))
+        return tuple(predictions)
 
     def _updated_rows(self, posterior: Posterior) -> dict[str, PosteriorRow]:
         """Change the reported numbers as the draws of the joint change."""
@@ -390,6 +415,16 @@ class FittedArm:
         files = {"arm.json": f"{record}\n", "arm.html": page}
         write_files({folder / name: text for name, text in files.items()}, replace=True)
         return folder / "arm.html"
+
+
+def _with_draws(posterior: Posterior, draws: Array) -> Posterior:
+    """Replace the draws of a posterior by others ``(n, d)``, as of one chain."""
+    return replace(
+        posterior,
+        draws=draws[None, None],
+        log_density=np.full((1, 1, len(draws)), np.nan),
+        diagnostics=replace(posterior.diagnostics, acceptance=np.ones((1, 1))),
+    )
 
 
 def _cell(row: PosteriorRow | None) -> tuple[str, str]:
