@@ -174,16 +174,16 @@ class FittedJoint:
             at = [k for k, name in enumerate(wide.names) if name in NUMBERS[key].parameters]
             draws[:, at] *= np.maximum(change, 0.0)[:, None]
         predictions = []
-        for mean, spread in zip(
+        for centre, band in zip(
             predict_held_out(fit.target, posterior, held_out),
             predict_held_out(fit.target, _with_draws(wide, draws), held_out),
             strict=True,
         ):
-            n = len(spread.torque)
+            n = len(band.torque)
             change = rng.permutation(quantiles)[:n, None] * self.repeatability.effort
-            torque = spread.torque * (1.0 + change)
-            torque += mean.mean - torque.mean(axis=0)
-            predictions.append(replace(spread, torque=torque))
+            torque = band.torque * (1.0 + change)
+            torque += centre.mean - torque.mean(axis=0)
+            predictions.append(replace(band, torque=torque))
         return tuple(predictions)
 
     def _updated_rows(self, posterior: Posterior) -> dict[str, PosteriorRow]:
