@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -34,7 +34,8 @@ from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.model import Result
 from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.posterior import Posterior, Prediction, predict_held_out
-from bayesfric.recordings.arrays import Array
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.pages import render
 from bayesfric.report.summary.derived_quantities import leaning, spread
@@ -97,10 +98,38 @@ class FittedJoint:
         keys = {number.title: key for key, number in NUMBERS.items()}
         return {title: next(iter(self.number_rows(keys[title])), None) for title in COLUMNS}
 
-    def numbers(self, kind: Literal["value", "mean"] = "value") -> dict[str, float]:
-        """Numbers by key, SI, referred to the joint: reported values, or posterior means."""
-        rows = {key: [getattr(row, kind) for row in self.number_rows(key)] for key in NUMBERS}
+    def numbers(self) -> dict[str, float]:
+        """Return reported numbers by key, SI, referred to the joint."""
+        rows = {key: [row.value for row in self.number_rows(key)] for key in NUMBERS}
         return {key: float(np.mean(values)) for key, values in rows.items() if values}
+
+    def feedforward(self) -> tuple[dict[str, float], float, float]:
+        """Compute its numbers at the posterior means, rms of what they leave of that law, and its.
+
+        What the law has in addition to these numbers is fitted by them along the log.
+        """
+        fit, parts = self.fitted.fit, []
+        keys = [key for key in NUMBERS if self.number_rows(key) and key != "gain"]
+        gains = [row.mean for row in self.number_rows("gain")]
+        gain = gains[0] if gains else 1.0
+        means = np.array([[self.rows[name].mean for name in fit.target.free]])
+        law_values = fit.target.chain_values(means)[0]
+        law_values[[name == fit.chain.delay_name for name in fit.chain.names]] = 0.0
+        losses = [name.startswith("motor.") or name == "offset" for name in fit.chain.names]
+        values = np.stack([law_values, np.where(losses, 0.0, law_values)])
+        for o in self.fitted.model.observations:
+            motion, sign = (o.q, o.qd, o.qdd), np.sign(o.qd)
+            law, rigid = inverse_torque(fit.chain, values, *motion, inputs=o.inputs, time=o.stamps)
+            columns = {"armature": o.qdd, "coulomb": sign, "viscous": o.qd}
+            columns |= {"load": gain * np.abs(rigid) * sign, "offset": np.ones_like(sign)}
+            parts.append((law, rigid, *(columns[key] / gain for key in keys)))
+        law, rigid, *by_key = np.concatenate(parts, axis=1)
+        a = np.array(by_key).T
+        numbers = np.array([np.mean([row.mean for row in self.number_rows(key)]) for key in keys])
+        numbers += np.linalg.lstsq(a, law - rigid - a @ numbers)[0]
+        left = rms(law - rigid - a @ numbers)
+        known = dict(zip(keys, numbers.tolist(), strict=True))
+        return known | dict.fromkeys(["gain"] * len(gains), gain), left, rms(law)
 
     def coefficients(self, flat: Array) -> Array:
         """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""

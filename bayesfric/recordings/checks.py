@@ -65,11 +65,6 @@ def quantisation(values: Array) -> float | None:
     return step if step > 1e-6 * float(np.ptp(values)) else None
 
 
-def whole_numbers(values: Array, *, least: int = 20) -> bool:
-    """Whether a raw signal holds whole numbers only, more than a switched torque would."""
-    return bool(np.all(values == np.round(values))) and np.unique(values).size > least
-
-
 def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, int]:
     """Undo the jumps of a counter ``(n,)``, NaN in holes; returns where it wraps, and their number.
 

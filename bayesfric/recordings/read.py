@@ -349,7 +349,7 @@ def _as_measured(
             rows, stale = rows[~stale], stale[~stale]
         text = f"time: values are held over {hold} rows; those that repeat are left out "
         text += f"({rows.size} of {time.size} remain), and not compared where they last longer"
-        return table.part(rows, time.size), time[rows], stale, None, [text]
+        return table.at(rows, time.size), time[rows], stale, None, [text]
     between, notes, paces = dict[str | int, Array](), list[str](), list[float]()
     for key, values in signals.items() if not source.steady else ():
         if (own := checks.own_rows(values, time)) is not None:
@@ -431,14 +431,17 @@ def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
     return first, last
 
 
-def _count_warnings(source: Columns, table: Table, chosen: slice) -> Iterator[str]:
-    """Warn of whole numbers in a unit that is not counted in."""
+def _count_warnings(
+    source: Columns, table: Table, chosen: slice, *, levels: int = 20
+) -> Iterator[str]:
+    """Warn of whole numbers in a unit that is not counted in, of more than a few ``levels``."""
     measured_in = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
     for key, channel in source.channels.items():
         if channel.unit not in measured_in or channel.times is not None or key == "temperature":
             continue
-        constant = channel.constant if isinstance(channel, Torque) else None
-        if constant is None and checks.whole_numbers(table.column(channel.column)[chosen]):
+        values = table.column(channel.column)[chosen]
+        scaled = isinstance(channel, Torque) and channel.constant
+        if not scaled and np.all(values == np.round(values)) and np.unique(values).size > levels:
             counted = "thousandths" if key == "time" else "encoder counts, or thousandths"
             yield (
                 f"{key}: all numbers are whole, and its unit is {channel.unit}: are they "

@@ -187,13 +187,11 @@ class Table:
     def at(self, rows: Index, count: int) -> Table:
         """Select some of ``count`` rows, which every column must have."""
         if self.rows is None:
-            return replace(self, rows=rows, count=count)
-        return replace(self, rows=self.rows[rows])
-
-    def part(self, rows: Index, count: int) -> Table:
-        """Select some of ``count`` rows, also of columns that were interpolated."""
-        table = self.at(rows, count)
-        table._columns.update({key: values[rows] for key, values in self._columns.items()})
+            table = replace(self, rows=rows, count=count)
+        else:
+            table = replace(self, rows=self.rows[rows])
+        read = {key: values[rows] for key, values in self._columns.items() if values.size == count}
+        table._columns.update(read)
         return table
 
     def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
