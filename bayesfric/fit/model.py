@@ -190,7 +190,7 @@ class Model:
     @property
     def method(self) -> LikelihoodMethod:
         """Of the likelihood: a target without a torque leaves no other than the closed loop's."""
-        return "closed-loop" if self.chain.by_target else self.config.tables.likelihood.method
+        return "closed-loop" if self.chain.closed_loop else self.config.tables.likelihood.method
 
     def alone(self, k: int) -> Self:
         """Return the same model with recording ``k`` alone."""

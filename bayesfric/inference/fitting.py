@@ -277,7 +277,7 @@ def closed_loop_mode(
     seed: int,
     progress: ProgressCallback = no_progress,
     *,
-    largest: float = 2.5,
+    largest: float = 3.5,
 ) -> ClosedLoopMode:
     """Find the mode of a closed-loop posterior, and how far its predictions reach.
 

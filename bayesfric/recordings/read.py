@@ -189,8 +189,6 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
-    if law.closed and (fault := checks.target_fault(law.command / law.kp, joint)) is not None:
-        raise BadInput(table.label(channel.column), *fault)
     motor_speed = np.zeros(joint.shape) if speed is None else speed
     by_speed = channel.sign == "by-speed"
     if speed is None and (law.back_emf or law.kd or by_speed):
@@ -209,6 +207,10 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if source.steady and speed is not None:
         # a speed of a few of its steps is none
         excluded |= np.abs(speed) <= 3.5 * (checks.quantisation(speed) or 0.0)
+    if law.closed and (~excluded).any():
+        fault = checks.target_fault(law.command / law.kp, joint, ~excluded)
+        if fault is not None:
+            raise BadInput(table.label(channel.column), *fault)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     torque_constant = None
