@@ -175,7 +175,12 @@ class Arm:
         joints, models = dict[str, FittedJoint](), dict[str, Model]()
         for name, effort in efforts.items():
             directions, torques, resolved = projected[name]
-            joint = FittedJoint(bodies.joints[name], self.options.of(name).gear_ratio, directions)
+            joint = FittedJoint(
+                bodies.joints[name],
+                self.options.of(name).gear_ratio,
+                directions,
+                repeatability=self.options.repeatability,
+            )
             try:
                 if isinstance(effort, BadInput):
                     raise effort

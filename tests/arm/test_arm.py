@@ -11,6 +11,7 @@ from bayesfric.arm.arm import Arm, remarks
 from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_coupling import coupled_joint
 from bayesfric.arm.arm_log import ArmLog
+from bayesfric.arm.arm_options import Repeatability
 from bayesfric.arm.exports import files_of
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
@@ -301,6 +302,18 @@ def test_the_feedforward_of_a_joint_of_a_separate_fit_is_what_was_predicted(here
         record(name=name, factors=bench.FACTORS, **options)
     options = {**QUICK, "friction": friction}
     arm = Arm("arm.urdf", options).fit("log.csv", predict="other.csv", seed=1)
+    # bands whose efforts differ by a half: its variance is added, about the same mean
+    for joint in arm.joints.values():
+        wide, exact = (
+            replace(joint, repeatability=Repeatability(friction=0.0, effort=effort))
+            .updated(arm.consistency, np.random.default_rng(1))
+            .validation["pooled"]
+            for effort in (0.5, 0.0)
+        )
+        added = 0.5 * np.sqrt(np.mean(joint.fitted.model.held_out[0].observation.measured ** 2))
+        expected = np.hypot(exact["predictive_sd"], added)
+        assert wide["predictive_sd"] == pytest.approx(expected, rel=0.02)
+        assert wide["residual_rms"] == pytest.approx(exact["residual_rms"], rel=1e-9)
     consistency, rng = replace(arm.consistency, agreed=(SHOULDER,)), np.random.default_rng(1)
     joints = {name: joint.updated(consistency, rng) for name, joint in arm.joints.items()}
     arm = replace(arm, joints=joints, consistency=consistency)
