@@ -136,7 +136,12 @@ class Arm:
             fitted = dict[str, FittedJoint]()
             for name, effort in efforts.items():
                 directions, torques, resolved = projected[name]
-                joint = FittedJoint(bodies.joints[name], options.of(name).gear_ratio, directions)
+                joint = FittedJoint(
+                    bodies.joints[name],
+                    options.of(name).gear_ratio,
+                    directions,
+                    repeatability=options.repeatability,
+                )
                 if isinstance(effort, BadInput):
                     joint = replace(joint, failure=str(effort))
                 else:
@@ -149,18 +154,13 @@ class Arm:
                     )
                 fitted[name] = joint
 
-            def models(delay: float | None) -> Iterator[tuple[str, Model]]:
-                for name in [name for name, joint in fitted.items() if not joint.failure]:
-                    report(Progress(name))
-                    torques, others = projected[name][1], names[fitted_count:]
-                    try:
-                        yield name, self._model(fitted[name], logs, torques, others, delay)
-                    except BadInput as error:
-                        fitted[name] = replace(fitted[name], failure=str(error))
-
-            late = None if options.delay is not None else common_delay(dict(models(None)))
-            delay = late.value if late is not None and late.evident else options.delay or 0.0
-            for name, model in models(delay):
+            arguments = fitted, logs, projected, names[fitted_count:]
+            models = self._models(*arguments, delay=options.delay or 0.0)
+            late = None if options.delay is not None else common_delay(models)
+            if late is not None and late.evident:
+                models = self._models(*arguments, delay=late.value)
+            for name, model in models.items():
+                report(Progress(name))
                 fitted[name] = self._with_coupling(fitted[name], model, logs[0], projected[name][1])
                 try:
                     result = model.fit(seed=seed, progress=report)
@@ -237,17 +237,36 @@ class Arm:
             for j, (name, x) in enumerate(zip(order, joint_directions, strict=True))
         }
 
+    def _models(
+        self,
+        fitted: dict[str, FittedJoint],
+        logs: Sequence[ArmLog],
+        projected: Mapping[str, tuple[Array, list[Array], float]],
+        held_out: Sequence[str],
+        delay: float,
+    ) -> dict[str, Model]:
+        """Make the models of joints; the reason why there is none is put into ``fitted``."""
+        models = dict[str, Model]()
+        for name, joint in fitted.items():
+            try:
+                if not joint.failure:
+                    torques = projected[name][1]
+                    models[name] = self._model(joint, logs, torques, held_out, delay)
+            except BadInput as error:
+                fitted[name] = replace(joint, failure=str(error))
+        return models
+
     def _model(
         self,
         fitted: FittedJoint,
         logs: Sequence[ArmLog],
         torques: Sequence[Array],
         held_out: Sequence[str],
-        delay: float | None,
+        delay: float,
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque.
 
-        ``delay`` is that of positions after efforts, s, unknown if None; options may have another.
+        ``delay`` is that of positions after efforts, s, unless the joint's options have another.
         """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)

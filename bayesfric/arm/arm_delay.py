@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.input_error import input_error
 from bayesfric.fit.model import Model
+from bayesfric.inference.priors import as_knowledge, read_prior
 from bayesfric.recordings.signals import retimed
+
+# Longest delay to look for, s.
+_LONGEST = 0.25
 
 
 @dataclass(frozen=True)
@@ -30,30 +34,32 @@ class ArmDelay:
 
 
 def common_delay(models: Mapping[str, Model]) -> ArmDelay:
-    """Combine the delays of models of joints, each with an unknown one, by input error.
+    """Combine the delays of models of joints by input error, repeated about the last one.
 
-    An evident delay is estimated again about itself, as it is linear about that of least squares.
+    A model whose delay is known has no say.
     """
+    models = {name: model for name, model in models.items() if not model.chain.delay}
     outputs = sum(o.measured.size for model in models.values() for o in model.observations)
-    about: float | None = None
-    for _ in range(3):
-        joints = {name: x for name, model in models.items() if (x := _delay_of(model, about))}
+    delay = 0.0
+    for _ in range(5):
+        joints = {name: x for name, model in models.items() if (x := _delay_of(model, delay))}
         value, sd = combined(joints.values())
         evident = value**2 > sd**2 * (math.log(max(outputs, 1)) + 6.0)
-        if not evident or (about is not None and abs(value - about) < 0.5 * sd):
+        if not evident or abs(value - delay) < 0.5 * sd:
             break
-        about = value
+        delay = value
     return ArmDelay(value, sd, joints, evident)
 
 
-def _delay_of(model: Model, about: float | None) -> tuple[float, float] | None:
-    """Estimate the delay of a joint and its sd, linear about a delay if one is given."""
-    e, observations = model.evidence, [*model.observations]
-    if about is not None:
-        pairs = zip(model.recordings, observations, strict=True)
-        observations = [retimed(o, r.segments, r.period, about, r) for r, o in pairs]
+def _delay_of(model: Model, about: float) -> tuple[float, float] | None:
+    """Estimate the delay of a joint and its sd, linear about a delay."""
+    chain = replace(model.chain, delay=True)
+    prior = read_prior(chain.delay_name, [-_LONGEST, _LONGEST], lower=-math.inf, upper=math.inf)
+    knowledge = as_knowledge(chain, {**model.priors, chain.delay_name: prior})
+    pairs = zip(model.recordings, model.observations, strict=True)
+    shifted = [retimed(o, r.segments, r.period, about, r) for r, o in pairs]
     try:
-        delay = input_error(e.chain, observations, e.knowledge, e.options)[e.chain.delay_name]
+        delay = input_error(chain, shifted, knowledge, model.evidence.options)[chain.delay_name]
     except BadInput:  # too few outputs
         return None
     sd = delay.larger_sd

@@ -59,8 +59,13 @@ def files_of(arm: FittedArm) -> dict[str, str]:
     """
     identified, name, gravity = _identified(arm), f"identified-{arm.urdf.name}", arm.bodies.gravity
     # the torque of the posterior means is what is predicted
-    means = {name: joint.numbers("mean") for name, joint in arm.joints.items()}
-    mean = replace(identified, joints=means)
+    numbers, remarks = {}, [*identified.remarks]
+    for joint_name, joint in arm.fitted.items():
+        numbers[joint_name], left, size = joint.feedforward()
+        if left > 1e-6 * size:
+            law = f"{size:.3g} {'N m' if joint.joint.motion == 'rotary' else 'N'} rms of its law"
+            remarks.append(f"{joint_name}: leaves {left:.3g} of the {law} along the log")
+    mean = replace(identified, joints=numbers, remarks=remarks)
     files = {
         name: written_urdf(arm.urdf, identified),
         "ros2_control.yaml": rendered("ros2_control.yaml", identified),

@@ -45,7 +45,7 @@ def estimate(
             TITLES[estimate.method],
             f"  {estimate.n_outputs} residuals, rms {estimate.residual_rms:.4g} "
             f"{estimate.residual_unit}. {estimate.assumption}.",
-            f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd HAC':>9}   {'sd %':>6}",
+            f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd_robust':>9}   {'sd %':>6}",
             *(f"  {_row(v, references.get(v.name), estimate.converged)}" for v in estimate.values),
             *(f"  {note}" for note in estimate.notes),
             "",
@@ -65,7 +65,7 @@ def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:
         return f"{v.name:<30} {'-':>11}   not determined{span}{end}"
     robust = f"{v.sd_robust:>9.2g}" if np.isfinite(v.sd_robust) else f"{'-':>9}"
     percent = f"{v.relative_sd:>6.1f}" if np.isfinite(v.relative_sd) else f"{'-':>6}"
-    small = "   ? sd too small, see sd HAC" if v.sd_robust > 2.0 * v.sd else ""
+    small = "   ? sd too small, see sd_robust" if v.sd_robust > 2.0 * v.sd else ""
     return f"{v.name:<30} {v.value:>11.5g} ± {v.sd:>9.2g}   {robust}   {percent}{end}{small}"
 
 

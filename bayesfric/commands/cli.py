@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import io
 import json
@@ -456,6 +457,9 @@ def main() -> None:
         warnings.simplefilter("ignore")
     for name in LINEAR_ALGEBRA_THREADS:
         os.environ.setdefault(name, "1")  # before NumPy is imported
+    # M_MMAP_THRESHOLD: freed arrays of a megabyte return to the system, which glibc else keeps
+    with suppress(OSError, TypeError, AttributeError):  # another C library
+        ctypes.CDLL(None).mallopt(-3, 2**20)
     # waiting threads of compiled kernels yield the core
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # like Ctrl-C

@@ -276,7 +276,7 @@ BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
     """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
-        if kind.of_recording and motion.chain.by_target and kind.name != "torque_constant":
+        if kind.of_recording and motion.chain.closed_loop and kind.name != "torque_constant":
             continue  # nothing was recorded of a torque
         size = 0.0 if kind.of_position and motion.recording.integrated else 1.0
         for shape, columns in kind.shapes(motion).items():

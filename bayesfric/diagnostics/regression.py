@@ -478,7 +478,8 @@ class Regression:
         losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in keys]
         largest, highest = np.where(losses, self.scales.lost, self.scales.torque), self.data.others
         highest = np.abs(highest).max(axis=0)
-        size = np.divide(largest, highest, out=np.zeros_like(highest), where=highest > 0.0)
+        nonzero = highest > np.finfo(np.float32).tiny  # of Stribeck friction far below all speeds
+        size = np.divide(largest, highest, out=np.zeros_like(highest), where=nonzero)
         columns, residual = self.data.others * size, project_out(base, d.residual)
         cross, slopes, total, unit = projected_moments(base, d.others, residual)
         identified = unit > TESTABLE * total

@@ -353,11 +353,14 @@ class Columns:
     autocorrelation: Autocorrelation = WHITE  # of the noise
     others_whitened: bool = False  # whether the candidates' columns are whitened by it already
 
-    @cached_property
+    @property
     def whitened(self) -> Columns:
         """The same with whitened noise."""
-        if self.autocorrelation is WHITE:
-            return self
+        # not cached: a reference to itself would keep it in memory
+        return self if self.autocorrelation is WHITE else self._whitened
+
+    @cached_property
+    def _whitened(self) -> Columns:
         with_residual = np.column_stack([self.base, self.residual])
         white, others = self.autocorrelation.whitened(with_residual, self.layout), self.others
         if not self.others_whitened:

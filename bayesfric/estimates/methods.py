@@ -14,10 +14,10 @@ from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import TorqueProblem, few_threads, input_error
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
+from bayesfric.estimates.trajectory import Trajectory
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.signals import Signals
-from bayesfric.recordings.trajectory import Trajectory
 
 # Headings of results.
 TITLES: Mapping[Method, str] = {

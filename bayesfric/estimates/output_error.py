@@ -29,11 +29,11 @@ from bayesfric.estimates.information import LEAST_GROUPS, Information
 from bayesfric.estimates.input_error import TorqueProblem
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.estimates.trajectory import Trajectory, divided
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.signals import Signals
-from bayesfric.recordings.trajectory import Trajectory, divided
 
 # Relative steps of finite differences: measured, truncation and rounding are below 1e-7.
 _STEP = 1e-5

@@ -290,11 +290,13 @@ def fine_motion(
             for d in (-step, 0.0, step)
         )
         inertia, residual = (high - low) / (2.0 * step), o.compared - torque
+        del motion, low, torque, high  # each is as long as the recording
         if not (inertia > 0.0).all():
             return observation
         if not handover:
             handover = min(_handover(o, recording, residual, float(np.median(inertia))), end)
         acceleration = np.where(unknown, o.qdd, qdd + residual / inertia)
+        del residual, inertia
         dqd = above(integral(acceleration - o.qdd, segments, recording.period, qd), handover)
         dq = above(integral(speed + dqd, segments, recording.period), handover)
         q, qd = o.q + position + dq, o.qd + speed + dqd

@@ -9,18 +9,21 @@ are fitted to the law's torque along the recorded motion, none below zero.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.export.joint_model import (
     LOSSES,
-    Number,
     Numbers,
     Trajectory,
     exact_numbers,
     nonnegative_fit,
     simulated_torque,
     stacked,
+    thinned,
     torque_along,
     undelayed,
 )
@@ -29,11 +32,11 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 
 BAM_NUMBERS = {
-    "load_friction": Number(("", ""), "loss per difference of external and motor torque"),
-    "rise": Number(("N m", "N"), "constant loss at standstill in addition"),
-    "load_rise": Number(("", ""), "loss per torque at standstill in addition"),
-    "rise_speed": Number(("rad/s", "m/s"), "speed at which the rise has fallen to 1/e"),
-    "rise_exponent": Number(("", ""), "exponent of speed in the rise"),
+    "load_friction": ("", "", "loss per difference of external and motor torque"),
+    "rise": ("N m", "N", "constant loss at standstill in addition"),
+    "load_rise": ("", "", "loss per torque at standstill in addition"),
+    "rise_speed": ("rad/s", "m/s", "speed at which the rise has fallen to 1/e"),
+    "rise_exponent": ("", "", "exponent of speed in the rise"),
 }
 # Names of BAM, in the order in which the fit has their columns, then those that it does not fit.
 BAM_NAMES = {
@@ -52,38 +55,35 @@ _FITTED = tuple(BAM_NAMES.values())[:5]
 _SAMPLES, _ITERATIONS = 2000, 60
 
 
-def bam_numbers(joint: Joint, values: Array, motions: list[Trajectory]) -> Numbers:
+def bam_numbers(joint: Joint, values: Array, motions: Sequence[Trajectory]) -> Numbers:
     """Fit BAM's numbers to the law of vectors ``(n, d)`` along recorded motions, ``(n,)`` each."""
     if joint.load.motion != "rotary":
         raise BadInput("--to bam", "supports joints that turn", "export another format")
     numbers = exact_numbers(joint, values) | {name: np.zeros(len(values)) for name in BAM_NUMBERS}
     elements = joint.tables(values).elements
     slot = {name: elements[..., k] for k, name in enumerate(kernels.ELEMENT_SLOTS)}
-    rises = np.abs(slot["stribeck_ratio"]) + np.abs(slot["stribeck_load_ratio"])
-    k = int(np.argmax(rises.max(axis=0)))
-    loads = bool(max(slot["load_drive"].max(), slot["load_back"].max()) > 0.0)
-    if rises.any():
-        numbers["rise_speed"] = (
-            slot["stribeck_velocity"][:, k] / joint.reaches[joint.elements[k].name]
-        )
+    size = np.abs(slot["stribeck_ratio"]) + np.abs(slot["stribeck_load_ratio"])
+    loads, rises = bool((slot["load_drive"] + slot["load_back"]).any()), bool(size.any())
+    if rises:
+        k = int(np.argmax(size.max(axis=0)))
+        reach = joint.reaches[joint.elements[k].name]
+        numbers["rise_speed"] = slot["stribeck_velocity"][:, k] / reach
         numbers["rise_exponent"] = slot["stribeck_exponent"][:, k]
-    fitted = [True, True, loads, bool(rises.any()), loads and bool(rises.any())]
+    fitted = [True, True, loads, rises, loads and rises]
+    motions = thinned(motions, _SAMPLES)
     speed = stacked(motions)[1]
-    step = max(1, speed.size // _SAMPLES)
     free, external = _without_losses(joint, numbers, motions)
     gain, offset = (numbers[name][:, None] for name in ("gain", "torque_offset"))
     torque = gain * torque_along(joint, undelayed(joint, values), motions) - offset
-    for i in range(len(values)):
-        columns = _loss_columns(numbers, i, speed, external[i] - torque[i])[fitted].T[::step]
-        loss = (np.sign(speed) * (torque[i] - free[i]))[::step]
-        amounts = np.zeros(len(_FITTED))
-        amounts[fitted] = nonnegative_fit(columns, loss)
-        for name, amount in zip(_FITTED, amounts, strict=True):
-            numbers[name][i] = amount
-    return numbers
+    losses = np.sign(speed) * (torque - free)
+    amounts = np.zeros((len(values), len(_FITTED)))
+    for i, loss in enumerate(losses):
+        columns = _loss_columns(numbers, i, speed, external[i] - torque[i])
+        amounts[i, fitted] = nonnegative_fit(columns[fitted].T, loss[None])
+    return numbers | dict(zip(_FITTED, amounts.T, strict=True))
 
 
-def bam_torque(joint: Joint, numbers: Numbers, motions: list[Trajectory]) -> Array:
+def bam_torque(joint: Joint, numbers: Numbers, motions: Sequence[Trajectory]) -> Array:
     """Compute the measured motor torque of BAM's law along the motions, ``(n, M)``."""
     speed = stacked(motions)[1]
     free, external = _without_losses(joint, numbers, motions)
@@ -96,17 +96,12 @@ def bam_torque(joint: Joint, numbers: Numbers, motions: list[Trajectory]) -> Arr
     return np.asarray((torque + numbers["torque_offset"][:, None]) / numbers["gain"][:, None])
 
 
-def bam_model(numbers: dict[str, float]) -> str:
-    """Name the simplest of BAM's models that has these numbers."""
-    return f"m{1 + 2 * bool(numbers['load_friction']) + bool(numbers['rise_exponent'])}"
-
-
 def _without_losses(
-    joint: Joint, numbers: Numbers, motions: list[Trajectory]
+    joint: Joint, numbers: Numbers, motions: Sequence[Trajectory]
 ) -> tuple[Array, Array]:
     """Torque at the joint that motions take without losses, and the load's own, ``(n, M)``."""
     bare = numbers | {name: np.zeros_like(numbers["gain"]) for name in LOSSES}
-    still = [Trajectory(m.q, 0.0 * m.qd, 0.0 * m.qdd, m.time, m.inputs) for m in motions]
+    still = [replace(m, qd=0.0 * m.qd, qdd=0.0 * m.qdd) for m in motions]
     gain, offset = (numbers[name][:, None] for name in ("gain", "torque_offset"))
     free, held = (gain * simulated_torque(joint, bare, at) - offset for at in (motions, still))
     return free, -held

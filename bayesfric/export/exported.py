@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,14 @@ import numpy as np
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import check_output_folder, new_folder
 from bayesfric.base.errors import BadInput
+from bayesfric.export.bam import BAM_NUMBERS
 from bayesfric.export.formats import Files, Format, Options, body_of, filled, format_of, omitted
 from bayesfric.export.joint_model import (
     LINK_AND_DRIVE,
     LOSSES,
-    NUMBERS,
     Numbers,
     Trajectory,
-    exact_numbers,
+    motor_unit,
     number_of,
     of_recording,
     simulated_torque,
@@ -29,11 +29,11 @@ from bayesfric.export.joint_model import (
     thinned,
     torque_along,
     undelayed,
-    unit_torques,
+    unit_of,
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
 from bayesfric.export.programs import Program, program_of, programs
-from bayesfric.export.written_law import law, unwritten
+from bayesfric.export.written_law import law
 from bayesfric.fit.model import Result
 from bayesfric.fit.result import result_of
 from bayesfric.identifiability.friction_curve import covered
@@ -142,8 +142,6 @@ def export(
         form = form.without(reader.unused)
     options = Options(joint, None if into is None else Path(into), draws, reader)
     _check(form, options)
-    if output is not None:
-        check_output_folder(Path(output), force=force, marker="export.json")
     exported = _export(result_of(posterior), form, options)
     if output is not None:
         exported.write(output, force=force)
@@ -168,47 +166,50 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
     vectors = parameter_vectors(run, thin, options.draws or _DRAWS)
     recorded = covered(run.model.chain, run.model.observations, vectors.point, open_scale=True)
     load = float(np.abs(recorded[1]).mean())
-    law_torque = torque_along(joint, undelayed(joint, vectors.point[None]), motions)[0]
     fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), thin, load)
     # the torque that held the joint at standstill is a lower limit of its static friction
     law_friction = fitted["static_friction"]
     held = max((rest["held"] for rest in run.summary.fit.rests), default=0.0)
     fitted["static_friction"] = np.maximum(law_friction, held * fitted["gain"])
     at_least = bool(fitted["static_friction"][0] > law_friction[0])
+    first = {name: x[:1] for name, x in fitted.items()}
     numbers = {name: float(x[0]) for name, x in fitted.items()}
     draws = {name: x[1:] for name, x in fitted.items()}
-    first = {name: x[:1] for name, x in fitted.items()}
-    off = form.torque(joint, vectors.point, first, motions) - law_torque
-    motor = {"rms": rms(off), "largest": float(np.abs(off).max())}
-    error = {"motor": motor, "torque_rms": rms(law_torque)}
+
+    def errors(pace: float, along: Sequence[Trajectory]) -> tuple[dict[str, float], Array]:
+        """Error of the format where recorded paths are travelled at a pace; the law's torque."""
+        paced = [replace(m, qd=pace * m.qd, qdd=pace**2 * m.qdd) for m in along]
+        law_torque = torque_along(joint, undelayed(joint, vectors.point[None]), paced)[0]
+        off = form.torque(joint, vectors.point[None], first, paced)[0] - law_torque
+        sizes = {"rms": rms(off), "largest": float(np.abs(off).max())}
+        return {"pace": pace, **sizes, "torque_rms": rms(law_torque)}, law_torque
+
+    motor, law_torque = errors(1.0, motions)
+    unit, size = motor_unit(joint), motor["torque_rms"]
+    paces = [errors(pace, thin)[0] for pace in (0.5, 2.0)]
+    error = {"motor": motor, "torque_rms": size, "at_pace": paces}
+    lost, made_from = lost_terms(joint, form, vectors.point, thin, load)
     readers = [options.program] if options.program else programs().get(form.name, {}).values()
-    motor_unit = "N m" if joint.motor_motion == "rotary" else "N"
-    lost = lost_terms(joint, form, vectors.point, motions)
-    names = {
-        name: number
-        for name, number in form.names.items()
-        # a model that is changed keeps its own link and drive
-        if options.into is None or number not in LINK_AND_DRIVE
-    }
     record: dict[str, Any] = {
         "bayesfric": __version__,
         "run": run.name,
         "format": form.name,
         "meaning": form.meaning,
         "joint": options.joint,
-        "numbers": _number_rows(run, form, names, numbers, draws, vectors, at_least=at_least),
+        "numbers": _number_rows(run, form, options, numbers, draws, made_from, vectors, at_least),
         "lost": [
-            {**x, "says": filled("lost.txt.j2", **x, whole=error["torque_rms"]).strip()}
+            {**x, "says": filled("lost.txt.j2", **x, whole=size, motor_unit=unit).strip()}
             for x in lost
         ],
-        "error": error,
-        "programs": [_in_program(reader, joint, first, motions, law_torque) for reader in readers],
-        "unit": motor_unit,
+        "error": {**error, "says": filled("error.txt.j2", **error, unit=unit).strip()},
+        "programs": [_in_program(x, joint, first, motions, law_torque) for x in readers],
+        "unit": unit,
         "draws": len(vectors.draws),
         "central": vectors.kind,
     }
     rotary, language = joint.load.motion == "rotary", form.language
     with_body = options.into is None and any("inertia about the joint" in x for x in form.names)
+    position, speed, _ = stacked(motions)
     # everything that templates and writers use
     content: dict[str, Any] = {
         "format": form.name,
@@ -217,22 +218,23 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
         "options": options,
         "run": run,
         "vectors": vectors,
-        "motions": motions,
         "numbers": numbers,
         "draws": draws,
         "rotary": rotary,
         "ratio": joint.ratio,
         "gravity": joint.load.gravity,
         "body": body_of(numbers, rotary) if with_body else None,
-        "unit": motor_unit,
+        "unit": unit,
         "position_unit": "rad" if rotary else "m",
+        "summary": run.summary,
+        "known_load": any(m.inputs.known_load for m in motions),
+        "speed": float(np.abs(speed).max()),
+        "position": [float(position.min()), float(position.max())],
     }
-    record["notes"] = _notes(content)
-    content["remarks"] = [
-        _harmless(line) for line in filled("remarks.txt.j2", **record).splitlines() if line
-    ]
-    if language is not None and (form.write is None or unwritten(joint) is None):
-        content["law"] = law(joint, vectors.point, language)
+    if language is not None:
+        content["law"] = law(joint, vectors.point, language, required=form.write is None)
+    record["notes"] = _lines("notes.txt.j2", **content)
+    content["remarks"] = [_harmless(line) for line in _lines("remarks.txt.j2", **record)]
     files: Files = {
         name.format(stem=content["stem"]): filled(template, **content)
         for name, template in form.templates.items()
@@ -243,67 +245,46 @@ def _export(run: Result, form: Format, options: Options) -> Exported:
 
 
 def lost_terms(
-    joint: Joint, form: Format, vector: Array, motions: Sequence[Trajectory]
-) -> list[dict[str, Any]]:
+    joint: Joint, form: Format, vector: Array, motions: Sequence[Trajectory], load: float
+) -> tuple[list[dict[str, Any]], dict[str, list[str]]]:
     """List the terms of a vector ``(d,)`` that a format has no number for.
 
     Of each, the rms of its torque at the motor along the recorded motion, and of what is left of
-    it where the losses that the format has are fitted to it.
+    it by the format's numbers of the law with it and without. Also the parameters that each
+    number is made from: without them it changes.
     """
-    values = undelayed(joint, vector[None])
-    losses = [name for name in LOSSES if name in form.carried and form.friction]
-    springs = ["stiffness"] if "stiffness" in form.carried else []
-    # nothing stands in for the link and the drive
-    bases = [
-        (names, columns := unit_torques(names, motions), np.linalg.pinv(columns))
-        for names in (losses, springs, [])
-    ]
-    torque, lost = torque_along(joint, values, motions)[0], []
-    for p, value in zip(joint.parameters, vector.tolist(), strict=True):
-        row = {"parameters": [p.name], "value": value, "unit": p.unit, "meaning": p.meaning}
-        number = number_of(p)
-        if of_recording(p) or (form.complete and omitted(p.row)):
+    vectors = np.tile(vector, (1 + len(vector), 1))
+    for k, p in enumerate(joint.parameters):
+        if not _is_shape(p):
+            vectors[1 + k, k] = p.row.default
+    numbers = form.fit(joint, vectors, motions, load)
+    law_torque = torque_along(joint, undelayed(joint, vectors), motions)
+    left = law_torque - form.torque(joint, vectors, numbers, motions)
+    made_from: dict[str, list[str]] = {name: [] for name in numbers}
+    lost, size = [], rms(law_torque[0])
+    for k, p in enumerate(joint.parameters):
+        changed = []
+        for name, x in numbers.items():
+            a_loss = name in ("static_friction", *LOSSES, *BAM_NUMBERS)
+            conservative = p.row.stores or p.row.circular
+            if not ((a_loss and conservative) or np.isclose(x[1 + k], x[0], rtol=1e-6, atol=0.0)):
+                changed.append(name)
+                made_from[name].append(p.name)
+        row = {"parameters": [p.name], "value": float(vector[k]), "unit": p.unit}
+        row |= {"meaning": p.meaning, "fitted": [x for x in changed if x in form.carried]}
+        if of_recording(p) or (form.law == "complete" and omitted(p.row)):
             lost.append({"kind": "left out", **row})
-        elif number in form.carried or form.complete or not form.friction or _is_shape(p):
-            continue
-        elif number == "armature":
-            lost.append({"kind": "armature", **row})
-        else:
-            without = values.copy()
-            without[0, joint.names.index(p.name)] = 0.0
-            term = torque - torque_along(joint, without, motions)[0]
-            kind = 2 if number in LINK_AND_DRIVE else number in ("stiffness", "stiffness_cubic")
-            fitted, columns, inverse = bases[kind]
-            left = term - columns @ (inverse @ term)
-            sizes: dict[str, Any] = {"torque": rms(term), "left": rms(left), "fitted": fitted}
-            sizes["torque_unit"] = "N m" if joint.motor_motion == "rotary" else "N"
-            lost.append({"kind": "fitted", **row, **sizes})
-    return lost
+        elif number_of(p) not in form.carried and not _is_shape(p):
+            torque = rms(law_torque[0] - law_torque[1 + k])
+            remaining = rms(left[0] - left[1 + k])
+            if remaining > 1e-6 * size or not row["fitted"]:
+                lost.append({"kind": "fitted", **row, "torque": torque, "left": remaining})
+    return lost, made_from
 
 
 def _is_shape(p: Parameter) -> bool:
     """Whether it only shapes another term, which is zero without it or not."""
-    return p.row.role == "form" and p.row.default != 0.0
-
-
-def _sources(run: Result, form: Format) -> dict[str, list[str]]:
-    """Name the parameters that each number of a format is made from."""
-    names: dict[str, list[str]] = {number: [] for number in form.numbers}
-    instead = {"armature": "link_inertia", "stiffness_cubic": "stiffness"}
-    for p in run.joint.parameters:
-        number = number_of(p)
-        if number and number not in form.carried:
-            number = instead.get(number, "")
-        if number:
-            names[number].append(p.name)
-        elif not of_recording(p) and not _is_shape(p) and number_of(p) not in LINK_AND_DRIVE:
-            for loss in (*LOSSES, *(name for name in names if name not in NUMBERS)):
-                names[loss].append(p.name)
-        if p.quantity in ("load_drive", "load_back"):
-            names["gain"].append(p.name)
-        if number == "friction" or p.quantity.startswith(("coulomb_", "load", "stribeck_")):
-            names["static_friction"].append(p.name)
-    return names
+    return p.row.role == "form" and p.row.default != 0.0 and p.quantity != "gain"
 
 
 def _harmless(remark: str) -> str:
@@ -312,37 +293,18 @@ def _harmless(remark: str) -> str:
     return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
 
 
-def _notes(content: Mapping[str, Any]) -> list[str]:
-    """List notes on the format and the run."""
-    run, motions = content["run"], content["motions"]
-    placeholder = None
-    # a link whose inertia is in the rotor's
-    if content["body"] is not None and not content["numbers"]["link_inertia"]:
-        exact = exact_numbers(run.joint, content["vectors"].point[None])
-        constants = {name: float(x[0]) for name, x in exact.items()}
-        placeholder = body_of(constants, content["rotary"])
-    position, speed, _ = stacked(motions)
-    text = filled(
-        "notes.txt.j2",
-        **content,
-        summary=run.summary,
-        known_load=any(m.inputs.known_load for m in motions),
-        own_term=unwritten(run.joint) is not None,
-        placeholder=placeholder,
-        speed=float(np.abs(speed).max()),
-        position=[float(position.min()), float(position.max())],
-    )
-    return [line for line in text.splitlines() if line]
+def _lines(template: str, **values: Any) -> list[str]:
+    return [line for line in filled(template, **values).splitlines() if line]
 
 
 def _number_rows(
     run: Result,
     form: Format,
-    names: Mapping[str, str],
+    options: Options,
     numbers: Mapping[str, float],
     draws: Mapping[str, Array],
+    made_from: Mapping[str, list[str]],
     vectors: ParameterVectors,
-    *,
     at_least: bool,
 ) -> list[dict[str, Any]]:
     """Tabulate the numbers by the format's names, with intervals and parameters.
@@ -350,13 +312,13 @@ def _number_rows(
     ``at_least`` is whether static friction is a lower limit, by standstill.
     """
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
-    unusable = run.summary.sampler.status == "unusable"
-    sources, rows = _sources(run, form), []
-    for attribute, number in names.items():
-        made_from = tuple(sources[number])
+    unusable, rows = run.summary.sampler.status == "unusable", []
+    for attribute, number in form.names.items():
         value, spread = numbers[number], draws[number]
-        if number != "gain" and not (made_from and (value or np.any(spread))):
-            continue  # the joint has none
+        # a model that is changed keeps its own link and drive
+        kept = options.into is not None and number in LINK_AND_DRIVE
+        if kept or (number != "gain" and not (value or np.any(spread))):
+            continue
         limit = at_least and number == "static_friction"
         fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable or limit
         rows.append(
@@ -365,18 +327,16 @@ def _number_rows(
                 "value": value,
                 "at_least": limit,
                 "interval": None if fixed else np.percentile(spread, ends).tolist(),
-                "unit": form.numbers[number].unit(run.joint),
-                "meaning": form.numbers[number].meaning,
-                "made_from": list(made_from),
-                "not_identified": _not_identified(run, made_from, vectors),
+                "unit": unit_of(form.numbers[number], run.joint),
+                "meaning": form.numbers[number][2],
+                "made_from": made_from[number],
+                "not_identified": _not_identified(run, made_from[number], vectors),
             }
         )
     return rows
 
 
-def _not_identified(
-    run: Result, names: tuple[str, ...], vectors: ParameterVectors
-) -> dict[str, str]:
+def _not_identified(run: Result, names: Sequence[str], vectors: ParameterVectors) -> dict[str, str]:
     """Give the reported status of the parameters that are not identified."""
     scaled = {name for scaling in vectors.scalings for name in scaling.names}
     rows = {p.name: p.row for p in run.joint.parameters}
@@ -414,5 +374,5 @@ def _in_program(
             row["changed"].append({**term, "torque": rms(written - alone)})
         read = numbers | {name: factor * numbers[name] for name, factor in plain.items()}
         row["error"] = rms(simulated_torque(joint, read, motions)[0] - law)
-    unit = "N m" if joint.motor_motion == "rotary" else "N"
-    return row | {"says": filled("program.txt.j2", **row, whole=rms(law), unit=unit).strip()}
+    values = {**row, "whole": rms(law), "unit": motor_unit(joint)}
+    return row | {"says": filled("program.txt.j2", **values).strip()}

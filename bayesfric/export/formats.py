@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.parsers import expat
 
 import numpy as np
@@ -27,17 +27,17 @@ import numpy as np
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.safe_read import read_text
 from bayesfric.base.templates import environment
-from bayesfric.export.bam import BAM_NAMES, BAM_NUMBERS, bam_model, bam_numbers, bam_torque
+from bayesfric.export.bam import BAM_NAMES, BAM_NUMBERS, bam_numbers, bam_torque
 from bayesfric.export.joint_model import (
     LINK_AND_DRIVE,
     NUMBERS,
-    Number,
     Numbers,
     Trajectory,
     simulated_torque,
     simulator_numbers,
     static_friction,
     torque_along,
+    unit_of,
 )
 from bayesfric.export.programs import Program
 from bayesfric.export.written_law import Language
@@ -69,19 +69,19 @@ class Format:
     write: Callable[[Mapping[str, Any]], Files] | None = None  # in place of templates
     language: Language | None = None  # in which the model has the law
     options: frozenset[str] = frozenset()  # of Options, in addition to joint
-    complete: bool = False  # whether it carries the law itself instead of numbers
-    friction: bool = True  # whether its friction is a function of speed
+    # its numbers, the law itself in addition to numbers about it, or BAM's
+    law: Literal["joint", "complete", "bam"] = "joint"
     dropped: frozenset[str] = frozenset()  # numbers that its program does not take
 
     @property
-    def numbers(self) -> Mapping[str, Number]:
-        """All numbers that it may have."""
-        return NUMBERS if self.friction else {**NUMBERS, **BAM_NUMBERS}
+    def numbers(self) -> Mapping[str, tuple[str, str, str]]:
+        """Units and meaning of all numbers that it may have."""
+        return {**NUMBERS, **BAM_NUMBERS} if self.law == "bam" else NUMBERS
 
     @property
     def carried(self) -> frozenset[str]:
         """Numbers that it has, or leaves to the surrounding model."""
-        numbers = NUMBERS if self.complete else {*self.names.values(), *LINK_AND_DRIVE}
+        numbers = NUMBERS if self.law == "complete" else {*self.names.values(), *LINK_AND_DRIVE}
         return frozenset(numbers) - self.dropped
 
     def without(self, numbers: Collection[str]) -> Format:
@@ -93,27 +93,25 @@ class Format:
         self, joint: Joint, values: Array, motions: Sequence[Trajectory], load: float
     ) -> Numbers:
         """Compute its numbers for vectors ``(n, d)``; ``load`` is that of static friction."""
-        if not self.friction:
-            return bam_numbers(joint, values, list(motions))
+        if self.law == "bam":
+            return bam_numbers(joint, values, motions)
         numbers = simulator_numbers(joint, values, motions, self.carried)
         numbers |= {name: np.zeros(len(values)) for name in self.dropped}
         if "static_friction" in self.carried:
-            static = static_friction(joint, values, load)
             # simulators want no less than what slides
+            static = static_friction(joint, values, load)
             numbers["static_friction"] = np.maximum(static, numbers["friction"])
         return numbers
 
     def torque(
-        self, joint: Joint, vector: Array, numbers: Numbers, motions: Sequence[Trajectory]
+        self, joint: Joint, values: Array, numbers: Numbers, motions: Sequence[Trajectory]
     ) -> Array:
-        """Compute the measured motor torque by its own law along the motions, ``(M,)``."""
-        if self.complete:
+        """Compute the measured motor torque ``(n, M)`` by its own law along the motions."""
+        if self.law == "complete":
             written = [not omitted(p.row) for p in joint.parameters]
-            values = np.where(written, vector, 0.0)[None]
-            return np.asarray(torque_along(joint, values, motions)[0])
-        if not self.friction:
-            return np.asarray(bam_torque(joint, numbers, list(motions))[0])
-        return np.asarray(simulated_torque(joint, numbers, motions)[0])
+            return torque_along(joint, np.where(written, values, 0.0), motions)
+        torque = bam_torque if self.law == "bam" else simulated_torque
+        return torque(joint, numbers, motions)
 
 
 def omitted(row: Quantity) -> bool:
@@ -142,26 +140,16 @@ def _environment() -> Any:
     return jinja
 
 
-@dataclass(frozen=True)
-class Body:
-    """A rigid body at the joint, turning about y with gravity along -z; or sliding along x."""
+def body_of(numbers: Mapping[str, float], rotary: bool) -> dict[str, Any]:
+    """Choose a rigid body for a joint: it turns about y with gravity along -z, or slides along x.
 
-    mass: float  # kg
-    com: tuple[float, float, float]  # centre of mass where the joint is at zero, m
-    about_axis: float  # inertia about the joint's axis through the centre of mass, kg m²
-    across: float  # about the other two, kg m²
-    armature: float  # left for the joint, kg m² or kg
-    inertia: float  # of the body about the joint, kg m² or kg
-
-
-def body_of(numbers: Mapping[str, float], rotary: bool) -> Body:
-    """Choose a body for a joint's numbers.
-
-    Torque identifies inertia and first moment ``ml`` about the joint, not mass and distance: these
-    are chosen so that half of the inertia ``I`` is that of the mass at its distance. Where the
-    inertia is identified only together with the rotor's, a link with weight is given nearly all of
-    it, as the lightest pendulum weighs ``(ml)²/I`` and smaller shares make it heavier; one without
-    is a placeholder of 0.1 kg, as simulators want a mass.
+    Its ``mass``, centre ``com`` where the joint is at zero, inertia ``about_axis`` of the joint
+    through that centre and ``across``; the ``armature`` left for the joint; its ``inertia`` about
+    the joint. Torque identifies inertia and first moment ``ml`` about the joint, not mass and
+    distance: half of the inertia ``I`` is that of the mass at its distance. Where the inertia is
+    identified only together with the rotor's, a link with weight is given nearly all of it, as the
+    lightest pendulum weighs ``(ml)²/I`` and smaller shares make it heavier; one without is a
+    placeholder of 0.1 kg, as simulators want a mass.
     """
     inertia, armature = numbers["link_inertia"], numbers["armature"]
     moment, angle = numbers["link_moment"], numbers["link_gravity_angle"]
@@ -169,17 +157,17 @@ def body_of(numbers: Mapping[str, float], rotary: bool) -> Body:
     if not separate:
         share = 0.9 if weighted else 1e-3
         inertia, armature = share * armature, (1.0 - share) * armature
-    centre = (0.0, 0.0, 0.0)
+    mass, com, about, across = 1.0 if separate else 0.1, (0.0, 0.0, 0.0), inertia, inertia
     if not rotary:
-        cube = inertia / 600.0  # of 0.1 m; it has no effect
-        return Body(inertia, centre, cube, cube, armature, inertia)
-    if not weighted:
-        return Body(1.0 if separate else 0.1, centre, inertia, inertia, armature, inertia)
-    at_distance = 0.5 if separate else 0.9
-    distance = at_distance * inertia / moment
-    com = (-distance * math.sin(angle), 0.0, -distance * math.cos(angle))
-    about = (1.0 - at_distance) * inertia
-    return Body(moment / distance, com, about, about, armature, inertia)
+        mass, about, across = inertia, inertia / 600.0, inertia / 600.0  # a cube of 0.1 m
+    elif weighted:
+        at_distance = 0.5 if separate else 0.9
+        distance = at_distance * inertia / moment
+        com = (-distance * math.sin(angle), 0.0, -distance * math.cos(angle))
+        mass = moment / distance
+        about = across = (1.0 - at_distance) * inertia
+    body = {"mass": mass, "com": com, "about_axis": about, "across": across}
+    return body | {"armature": armature, "inertia": inertia}
 
 
 # Time step of the MuJoCo model, s. With a friction constraint as stiff as two steps allow, its
@@ -191,13 +179,13 @@ def _write_mujoco(content: Mapping[str, Any]) -> Files:
     """Write a whole model of the joint, or a joint of a model changed in place."""
     options, numbers, stem = content["options"], content["numbers"], content["stem"]
     files: Files = {}
-    if "law" in content and (options.program is None or options.program.name == "mujoco"):
+    if content["law"] and (options.program is None or options.program.name == "mujoco"):
         files = {f"{stem}_friction.py": filled("mujoco_friction.py.j2", **content)}
     if (path := options.into) is not None:
         text = read_text(path, "name an MJCF file with --into")
         changed = patched(text, options.joint, _mujoco_attributes(numbers), str(path))
         return {path.name: changed, **files}
-    joint = _mujoco_attributes({**numbers, "armature": content["body"].armature})
+    joint = _mujoco_attributes({**numbers, "armature": content["body"]["armature"]})
     return {f"{stem}.xml": filled("mujoco.xml.j2", joint=joint, step=_STEP, **content), **files}
 
 
@@ -216,18 +204,18 @@ def _mujoco_attributes(numbers: Mapping[str, float]) -> dict[str, str]:
 
 
 def patched(text: str, name: str, attributes: Mapping[str, str], where: str) -> str:
-    """Set attributes of a named joint in an MJCF text; every other byte stays."""
-    data, parser = text.encode(), expat.ParserCreate("utf-8")
-    open_tags: list[str] = [""]
+    """Set attributes of a named joint of a body in an MJCF text; every other byte stays."""
+    parser, parents = expat.ParserCreate("utf-8"), [""]
     joints: list[tuple[str, int]] = []  # name, and position of the tag
 
     def begin(tag: str, tag_attributes: dict[str, str]) -> None:
-        if (open_tags[-1], tag) == ("body", "joint") and "name" in tag_attributes:
+        if (parents[-1], tag) == ("body", "joint") and "name" in tag_attributes:
             joints.append((tag_attributes["name"], parser.CurrentByteIndex))
-        open_tags.append(tag)
+        parents.append(tag)
 
     parser.StartElementHandler = begin
-    parser.EndElementHandler = lambda _: open_tags.pop()
+    parser.EndElementHandler = lambda _: parents.pop()
+    data = text.encode()
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
@@ -237,16 +225,16 @@ def patched(text: str, name: str, attributes: Mapping[str, str], where: str) -> 
         problem = f"has {'several joints' if positions else 'no joint'} {name!r}"
         raise BadInput(f"--into {where}", problem, nearest(name, sorted(dict(joints))))
     before, after = data[: positions[0]].decode(), data[positions[0] :].decode()
-    tag = re.match(r"(?:[^>\"']|\"[^\"]*\"|'[^']*')*>", after)
-    assert tag is not None
-    changed = tag[0]
     for key, value in attributes.items():
-        attribute = rf"(\s{key}\s*=\s*)(?:\"[^\"]*\"|'[^']*')"
-        changed, count = re.subn(attribute, rf'\g<1>"{value}"', changed, count=1)
-        if not count:
-            inside = changed.rstrip("/>").rstrip()
-            changed = f'{inside} {key}="{value}"{changed[len(inside) :]}'
-    return before + changed + after[tag.end() :]
+        # of this tag: up to the first > that is not quoted
+        tag = r"\A((?:[^>\"']|\"[^\"]*\"|'[^']*')*?)"
+        changed, count = re.subn(
+            rf"{tag}(\s{key}\s*=\s*)(?:\"[^\"]*\"|'[^']*')", rf'\g<1>\g<2>"{value}"', after
+        )
+        after = (
+            changed if count else re.sub(rf"{tag}(\s*/?>)", rf'\g<1> {key}="{value}"\g<2>', after)
+        )
+    return before + after
 
 
 # Actuators that better-actuator-models 1.0.2 knows, that of most users first.
@@ -259,7 +247,9 @@ def _write_bam(content: Mapping[str, Any]) -> Files:
 
     The joint's, or that of an actuator whose drive the user replaces.
     """
-    numbers, model = content["numbers"], bam_model(content["numbers"])
+    numbers = content["numbers"]
+    # the simplest of BAM's models that has these numbers
+    model = f"m{1 + 2 * bool(numbers['load_friction']) + bool(numbers['rise_exponent'])}"
     names = [name for name, number in BAM_NAMES.items() if numbers[number] or number == "friction"]
     parameters = {name: numbers[BAM_NAMES[name]] for name in names}
     name = content["name"] if content["name"] in _BAM_ACTUATORS else _BAM_ACTUATORS[0]
@@ -276,7 +266,7 @@ def _write_draws(content: Mapping[str, Any]) -> Files:
     if count is not None and count > len(vectors):
         problem = f"is {count}, and the run has {len(vectors)}"
         raise BadInput("--draws", problem, "reduce it, or fit with more steps")
-    columns = {(name, NUMBERS[name].unit(joint)): x for name, x in content["draws"].items()}
+    columns = {(name, unit_of(NUMBERS[name], joint)): x for name, x in content["draws"].items()}
     columns |= {(p.name, p.unit): x for p, x in zip(joint.parameters, vectors.T, strict=True)}
     # remarks are in export.json only: many readers do not accept comments
     titled = {f"{name} [{unit}]" if unit else name: x for (name, unit), x in columns.items()}
@@ -349,12 +339,12 @@ FORMATS: Mapping[str, Format] = {
         Format("drake", "Drake", _DRAKE | _BODY, _URDF),
         Format("pinocchio", "Pinocchio", _PINOCCHIO | _BODY, _PINOCCHIO_FILES),
         Format("isaac", "Isaac Lab and Isaac Sim", _ISAAC, _ISAAC_FILES),
-        Format("bam", "BAM", BAM_NAMES, write=_write_bam, friction=False),
+        Format("bam", "BAM", BAM_NAMES, write=_write_bam, law="bam"),
         Format("ros2-control", _ROS2_MEANING, _ROS2, _ROS2_FILES, language="c"),
-        Format("c", "feed-forward in C99", _ABOUT, _C_FILES, language="c", complete=True),
+        Format("c", "feed-forward in C99", _ABOUT, _C_FILES, language="c", law="complete"),
         Format(
             "python", "feed-forward in Python", _ABOUT, _PYTHON_FILES, language="python",
-            complete=True,
+            law="complete",
         ),
         Format("csv", "a CSV table of draws", _PLAIN, write=_write_draws, options=_DRAWS),
     )

@@ -34,37 +34,20 @@ from bayesfric.recordings.signals import Signals
 
 Numbers = dict[str, Array]  # (n,) each, one for each parameter vector
 
-
-@dataclass(frozen=True)
-class Number:
-    """One number of a simulator's joint."""
-
-    units: tuple[str, str]  # where the joint turns, where it slides
-    meaning: str
-    coupled_unit: str = ""  # where the motor turns and the joint slides
-
-    def unit(self, joint: Joint) -> str:
-        """Look up its unit for a joint."""
-        if self.coupled_unit and joint.load.motion != joint.motor_motion:
-            return self.coupled_unit
-        return self.units[0 if joint.load.motion == "rotary" else 1]
-
-
-NUMBERS: Mapping[str, Number] = {
-    "armature": Number(("kg m²", "kg"), "inertia of rotor and gears, at the joint"),
-    "damping": Number(("N m s/rad", "N s/m"), "loss in proportion to speed"),
-    "quadratic": Number(("N m s²/rad²", "N s²/m²"), "loss with the square of speed"),
-    "friction": Number(("N m", "N"), "constant loss while it moves"),
-    "static_friction": Number(("N m", "N"), "constant loss at standstill"),
-    "link_inertia": Number(("kg m²", "kg"), "inertia of the link about the joint"),
-    "link_moment": Number(("kg m", "kg m"), "mass of the link times distance to its centre"),
-    "link_gravity_angle": Number(("rad", "rad"), "angle added to q in gravity"),
-    "stiffness": Number(("N m/rad", "N/m"), "torque in proportion to position"),
-    "stiffness_cubic": Number(("N m/rad³", "N/m³"), "torque with the cube of position"),
-    "gain": Number(
-        ("N m per N m", "N per N"), "joint torque per measured motor torque", "N per N m"
-    ),
-    "torque_offset": Number(("N m", "N"), "constant in the measured torque, at the joint"),
+# Of a simulator's joint: unit where it turns, where it slides, and meaning.
+NUMBERS: Mapping[str, tuple[str, str, str]] = {
+    "armature": ("kg m²", "kg", "inertia of rotor and gears, at the joint"),
+    "damping": ("N m s/rad", "N s/m", "loss in proportion to speed"),
+    "quadratic": ("N m s²/rad²", "N s²/m²", "loss with the square of speed"),
+    "friction": ("N m", "N", "constant loss while it moves"),
+    "static_friction": ("N m", "N", "constant loss at standstill"),
+    "link_inertia": ("kg m²", "kg", "inertia of the link about the joint"),
+    "link_moment": ("kg m", "kg m", "mass of the link times distance to its centre"),
+    "link_gravity_angle": ("rad", "rad", "angle added to q in gravity"),
+    "stiffness": ("N m/rad", "N/m", "torque in proportion to position"),
+    "stiffness_cubic": ("N m/rad³", "N/m³", "torque with the cube of position"),
+    "gain": ("N m per {}", "N per {}", "joint torque per measured motor torque"),
+    "torque_offset": ("N m", "N", "constant in the measured torque, at the joint"),
 }
 # Of link and drive, which a format of joints leaves to the surrounding model.
 LINK_AND_DRIVE = ("link_inertia", "link_moment", "link_gravity_angle", "gain", "torque_offset")
@@ -74,22 +57,20 @@ LOSSES: Mapping[str, Callable[[Array], Array]] = {
     "damping": np.positive,
     "quadratic": lambda v: v * np.abs(v),
 }
-
-# Number of the joint that a quantity of an element or of the load is part of.
-_ELEMENT_NUMBERS: Mapping[str, str] = {
+# Number that a parameter is part of, exactly: by its name, or by its quantity of an element.
+_NUMBER_OF: Mapping[str, str] = {
+    "load.inertia": "link_inertia",
+    "load.first_moment": "link_moment",
+    "load.gravity_angle": "link_gravity_angle",
+    "load.spring": "stiffness",
+    "load.spring_cubic": "stiffness_cubic",
+    "drive.gain": "gain",
+    "offset": "torque_offset",
     "inertia": "armature",
     "viscous": "damping",
     "quadratic": "quadratic",
     "coulomb": "friction",
 }
-_LOAD_NUMBERS: Mapping[str, str] = {
-    "inertia": "link_inertia",
-    "first_moment": "link_moment",
-    "gravity_angle": "link_gravity_angle",
-    "spring": "stiffness",
-    "spring_cubic": "stiffness_cubic",
-}
-_DRIVE_NUMBERS: Mapping[str, str] = {"gain": "gain", "offset": "torque_offset"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +114,16 @@ def thinned(motions: Sequence[Trajectory], samples: int = 20_000) -> list[Trajec
     ]
 
 
+def motor_unit(joint: Joint) -> str:
+    """Name the unit of the motor's torque."""
+    return "N m" if joint.motor_motion == "rotary" else "N"
+
+
+def unit_of(number: tuple[str, str, str], joint: Joint) -> str:
+    """Name the unit of a row of :data:`NUMBERS` for a joint."""
+    return number[joint.load.motion != "rotary"].format(motor_unit(joint))
+
+
 def of_recording(p: Parameter) -> bool:
     """Whether it is a property of recordings: a delay, or the separate offset of one."""
     return p.quantity == "delay" or (p.owner == "" and p.name != "offset")
@@ -140,12 +131,8 @@ def of_recording(p: Parameter) -> bool:
 
 def number_of(p: Parameter) -> str:
     """Name the number that a parameter is part of, exactly; empty for none."""
-    if of_recording(p):
-        return ""
-    if p.owner == "load":
-        return _LOAD_NUMBERS.get(p.quantity, "")
-    numbers = _DRIVE_NUMBERS if p.owner in ("", "drive") else _ELEMENT_NUMBERS
-    return numbers.get(p.quantity, "")
+    quantity = "" if p.owner in ("", "load", "drive") else p.quantity
+    return _NUMBER_OF.get(p.name, _NUMBER_OF.get(quantity, ""))
 
 
 def exact_numbers(joint: Joint, values: Array) -> Numbers:
@@ -181,43 +168,39 @@ def simulator_numbers(
 
     Exact where the joint is what the format can express; what is left of the law along the
     recorded motion is fitted by the losses that the format has, none of which becomes negative.
-    Armature goes into a link's inertia, a spring that stiffens into a plain one.
     """
     numbers, values = exact_numbers(joint, values), undelayed(joint, values)
+    q, qd, _ = stacked(motions)
     numbers |= {name: np.zeros(len(values)) for name in LOSSES if name not in carried}
     if losses := [name for name in LOSSES if name in carried]:
-        missing = torque_along(joint, values, motions) - simulated_torque(joint, numbers, motions)
-        basis = unit_torques(losses, motions)
+        law = torque_along(joint, values, motions)
+        missing = numbers["gain"][:, None] * (law - simulated_torque(joint, numbers, motions))
+        basis = np.stack([LOSSES[name](qd) for name in losses], axis=1)
         amounts = np.stack([numbers[name] for name in losses], axis=1)
-        missing *= numbers["gain"][:, None]
-        fitted = amounts + missing @ np.linalg.pinv(basis).T
-        for k in np.flatnonzero((fitted < 0.0).any(axis=1)):
-            fitted[k] = nonnegative_fit(basis, missing[k] + basis @ amounts[k])
+        fitted = nonnegative_fit(basis, missing + amounts @ basis.T)
+        # an exact law leaves rounding only
+        change = np.abs(fitted - amounts) * np.abs(basis).max(axis=0)
+        size = 1e-12 * numbers["gain"] * np.abs(law).max(axis=1, initial=0.0)
+        fitted = np.where(change <= size[:, None], amounts, fitted)
         numbers |= dict(zip(losses, fitted.T, strict=True))
-    if "armature" not in carried:
-        numbers["link_inertia"] = numbers["link_inertia"] + numbers["armature"]
-        numbers["armature"] = np.zeros(len(values))
-    if "stiffness_cubic" not in carried and numbers["stiffness_cubic"].any():
-        q = stacked(motions)[0]
-        slope = float(q @ q**3) / (float(q @ q) or 1.0)  # of the line through zero
-        numbers["stiffness"] = numbers["stiffness"] + numbers["stiffness_cubic"] * slope
-        numbers["stiffness_cubic"] = np.zeros(len(values))
+    # armature goes into a link, and a spring that stiffens into the line nearest to it
+    slope = float(q @ q**3) / (float(q @ q) or 1.0)
+    for name, instead, share in (
+        ("armature", "link_inertia", 1.0),
+        ("stiffness_cubic", "stiffness", slope),
+    ):
+        if name not in carried:
+            numbers[instead] = numbers[instead] + share * numbers[name]
+            numbers[name] = np.zeros(len(values))
     if "stiffness" not in carried:
         numbers["stiffness"] = np.zeros(len(values))
     return numbers
 
 
-def unit_torques(names: Sequence[str], motions: Sequence[Trajectory]) -> Array:
-    """Torque at the joint of losses, or a stiffness, of one along all motions, ``(M, k)``."""
-    q, qd, _ = stacked(motions)
-    columns = [q if name == "stiffness" else LOSSES[name](qd) for name in names]
-    return np.array(columns).reshape(len(names), q.size).T
-
-
-def nonnegative_fit(columns: Array, torque: Array) -> Array:
-    """Fit coefficients of zero or more, ``(k,)``, of columns ``(M, k)`` to a torque ``(M,)``."""
+def nonnegative_fit(columns: Array, torques: Array) -> Array:
+    """Fit coefficients of zero or more, ``(n, k)``, of columns ``(M, k)`` to torques ``(n, M)``."""
     q, r = np.linalg.qr(columns)
-    return np.asarray(nnls(r, q.T @ torque)[0])
+    return np.array([nnls(r, projected)[0] for projected in torques @ q])
 
 
 def undelayed(joint: Joint, values: Array) -> Array:

@@ -24,8 +24,7 @@ _NEAR = 0.1
 
 def open_scalings(run: Result) -> tuple[Scaling, ...]:
     """List scalings of link and load-dependent friction that data and priors leave open."""
-    rows = run.summary.rows
-    specified = {name for name, row in rows.items() if row.given_by}
+    specified = {name for name, row in run.summary.rows.items() if row.given_by}
     directions = [set(n["parameters"]) for n in run.summary.identifiability.null_directions]
     unidentified = {name for names in directions if not names & specified for name in names}
     return tuple(
@@ -51,22 +50,35 @@ class ParameterVectors:
 
 def parameter_vectors(run: Result, motions: Sequence[Trajectory], count: int) -> ParameterVectors:
     """Take at most ``count`` evenly spread draws of a run, and a point estimate."""
-    chain, opened = run.joint, open_scalings(run)
-    draws, many = (_balanced(_corrected(run, run.picked(n)), opened) for n in (count, _DRAWS))
+    joint, opened, rows = run.joint, open_scalings(run), run.summary.parameters
     scaled = {name for scaling in opened for name in scaling.names}
-    reported = _medians(chain, many)
-    for k, name in enumerate(chain.names):
-        if name in run.summary.parameters and name not in scaled:
-            reported[k] = run.summary.parameters[name].value
+
+    def corrected(number: int) -> Array:
+        """Draws, shifted by the bias correction of the reported values within their bounds."""
+        values = run.values(run.picked(number))
+        for k, p in enumerate(joint.parameters):
+            if p.name in rows and rows[p.name].value != rows[p.name].middle:
+                shift = rows[p.name].value - rows[p.name].middle
+                values[:, k] = np.clip(values[:, k] + shift, p.lower, p.upper)
+        return _balanced(values, opened)
+
+    draws, many = corrected(count), corrected(_DRAWS)
+    reported = np.median(many, axis=0)
+    for k, p in enumerate(joint.parameters):
+        if p.name in rows and p.name not in scaled:
+            reported[k] = rows[p.name].value
+        elif p.circular:
+            mean = float(np.angle(np.mean(np.exp(1j * many[:, k]))))
+            reported[k] = np.median(turned(many[:, k], mean))
     reported = _balanced(reported[None], opened)[0]
-    draw = representative_draw(chain, many, reported, motions)
+    draw = representative_draw(joint, many, reported, motions)
     if draw is not None:
         return ParameterVectors(opened, draw, "draw", draws)
     return ParameterVectors(opened, reported, "reported", draws)
 
 
 def representative_draw(
-    chain: Joint, draws: Array, medians: Array, motions: Sequence[Trajectory]
+    joint: Joint, draws: Array, medians: Array, motions: Sequence[Trajectory]
 ) -> Array | None:
     """Choose a draw as point estimate where the medians together do not fit.
 
@@ -74,7 +86,7 @@ def representative_draw(
     the torque of ``medians`` ``(d,)`` is as near to the median torque as that of a tenth of the
     draws ``(n, d)``; else the draw of that tenth whose parameters are nearest to their medians.
     """
-    torque = torque_along(chain, np.vstack([draws, medians]), motions)
+    torque = torque_along(joint, np.vstack([draws, medians]), motions)
     error = np.sqrt(np.mean((torque - np.median(torque[:-1], axis=0)) ** 2, axis=1))
     near = error[:-1] <= np.quantile(error[:-1], _NEAR)
     if error[-1] <= error[:-1][near].max():
@@ -93,23 +105,3 @@ def _balanced(values: Array, opened: tuple[Scaling, ...]) -> Array:
         factor = 1.0 + 0.5 * (drive - back)
         values = np.stack([scaling.scaled(v, f) for v, f in zip(values, factor, strict=True)])
     return values
-
-
-def _corrected(run: Result, draws: Array) -> Array:
-    """Shift draws by the bias correction of the reported values, within their bounds."""
-    values = run.values(draws)
-    for k, p in enumerate(run.joint.parameters):
-        row = run.summary.parameters.get(p.name)
-        if row is not None and row.value != row.middle:
-            values[:, k] = np.clip(values[:, k] + (row.value - row.middle), p.lower, p.upper)
-    return values
-
-
-def _medians(chain: Joint, draws: Array) -> Array:
-    """Compute the medians ``(d,)`` of draws, of angles about their circular mean."""
-    medians = np.median(draws, axis=0)
-    for k, p in enumerate(chain.parameters):
-        if p.circular:
-            mean = float(np.angle(np.mean(np.exp(1j * draws[:, k]))))
-            medians[k] = float(np.median(turned(draws[:, k], mean)))
-    return np.asarray(medians)

@@ -8,7 +8,7 @@ that is not installed keeps its row, with the version that it was last seen with
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -29,8 +29,6 @@ class Program:
     warns: frozenset[str] = frozenset()  # of these it says so
     # with this number in the file others are lost; none where the file is refused
     spoils: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    # error of the format's numbers, of the program, and rms of a law with load friction, N m
-    torque: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     @property
     def unused(self) -> frozenset[str]:
@@ -68,7 +66,6 @@ def programs() -> Mapping[str, Mapping[str, Program]]:
                 frozenset(row.get("stored", ())),
                 frozenset(row.get("warns", ())),
                 {number: tuple(names) for number, names in row.get("spoils", {}).items()},
-                row.get("torque", {}),
             )
             for name, row in rows.items()
         }
@@ -83,30 +80,3 @@ def program_of(name: str, form: str) -> Program:
         problem = f"no file of the format {form} was tried in {name!r}"
         raise BadInput("--for", problem, nearest(name, known))
     return known[name]
-
-
-def table() -> str:
-    """Tabulate all programs for the page, a row each."""
-    titles = ("`--to`", "`--for`", "arrives", "stored only", "lost", "states", "chirp")
-    lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
-    for form, rows in programs().items():
-        for p in rows.values():
-            lost = [x for x, f in p.takes.items() if not f and x not in p.stored]
-            cells: tuple[Iterable[str], ...] = (
-                [x if f == 1.0 else f"{x} times {f:.4g}" for x, f in p.takes.items() if f],
-                sorted(p.stored),
-                (
-                    *(f"{x} (it warns)" if x in p.warns else x for x in lost),
-                    *(
-                        f"with {x}: {', '.join(names) or 'refused'}"
-                        for x, names in p.spoils.items()
-                    ),
-                ),
-                *(
-                    [" / ".join(f"{x:g}" for x in p.torque.get(motion, ()))]
-                    for motion in ("states", "chirp")
-                ),
-            )
-            texts = " | ".join(", ".join(cell).replace("_", " ") for cell in cells)
-            lines.append(f"| `{form}` | `{p.name}` {p.version} | {texts} |")
-    return "\n".join(lines)

@@ -182,4 +182,6 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
     if len(lines) > _MANY:
         yield f"  and {len(lines) - _MANY} more: --verbose"
     if not lines and not record["taken"]:
-        yield "Nothing stands out."
+        numbers = record["least_squares"]["parameters"].values()
+        determined = all(row["sd"] is not None for row in numbers)
+        yield "Nothing stands out." if determined else "Nothing else stands out."

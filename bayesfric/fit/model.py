@@ -34,6 +34,7 @@ from bayesfric.estimates.methods import (
     predicts_better,
 )
 from bayesfric.estimates.point_estimate import Estimate, Knowledge
+from bayesfric.estimates.trajectory import Trajectory, trajectory
 from bayesfric.fit.conclusion import StartingPoint, conclude, refuse_collinear_losses
 from bayesfric.fit.saved_draws import flat_draws, read_draws, saved_fit
 from bayesfric.identifiability.identification import Identification, identify, speed_term
@@ -73,7 +74,6 @@ from bayesfric.recordings.held_out import fitted
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.readers import sha256
 from bayesfric.recordings.source import Recording
-from bayesfric.recordings.trajectory import Trajectory, trajectory
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.summary import estimate_table
 
@@ -190,7 +190,7 @@ class Model:
     @property
     def method(self) -> LikelihoodMethod:
         """Of the likelihood: a target without a torque leaves no other than the closed loop's."""
-        return "closed-loop" if self.chain.by_target else self.config.tables.likelihood.method
+        return "closed-loop" if self.chain.closed_loop else self.config.tables.likelihood.method
 
     def alone(self, k: int) -> Self:
         """Return the same model with recording ``k`` alone."""

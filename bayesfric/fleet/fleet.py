@@ -10,21 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from pydantic import ValidationError
-
 from bayesfric.base.atomic_write import check_output_folder, run_lock, write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
-from bayesfric.fleet.plan import (
-    FAILED,
-    ClusterOptions,
-    FleetTables,
-    Plan,
-    read_plan,
-    read_units,
-    units_of,
-)
+from bayesfric.fleet.plan import FAILED, ClusterOptions, read_plan, read_units, units_of
 from bayesfric.fleet.results import (
     FleetQuantity,
     fleet_population,
@@ -32,7 +21,7 @@ from bayesfric.fleet.results import (
     results_table,
 )
 from bayesfric.fleet.workers import check_dask, fit_units, is_fitted
-from bayesfric.problem.config import document_text, read_document, read_toml
+from bayesfric.problem.config import document_text
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 if TYPE_CHECKING:
@@ -103,25 +92,17 @@ class Fleet:
         runs: Mapping[str, Any] | None = None,
         cluster: Mapping[str, Any] | None = None,
     ) -> None:
-        if isinstance(template, Mapping):
-            path, document = Path("template").absolute(), dict(template)
-        else:
-            path = Path(template).absolute()
-            document = read_document(read_toml(path), path)
         if isinstance(units, str | Path):
             rows = read_units(Path(units), name)
         else:
             import pandas as pd
 
             rows = units_of(pd.DataFrame(units), name, "units", first_row=1)
-        tables = {"template": document, "units": {"table": "units"}}
-        tables |= {"runs": dict(runs or {}), "cluster": dict(cluster or {})}
-        try:
-            options = FleetTables.model_validate(tables, strict=True)
-        except ValidationError as error:
-            raise configuration_error("Fleet: ", "options", error, tables, FleetTables) from None
-        plan = Plan(Path("Fleet"), path, document, rows, options.runs, options.cluster)
-        self.plan = plan.checked()
+        if not isinstance(template, Mapping):
+            template = str(Path(template).absolute())
+        tables = {"template": template, "units": {"table": "units"}}
+        text = document_text(tables | {"runs": runs or {}, "cluster": cluster or {}})
+        self.plan = read_plan(Path("Fleet"), text, rows)
 
     @classmethod
     def from_config(cls, path: Path | str) -> Self:

@@ -172,18 +172,18 @@ class Plan:
         raise errors[0]
 
 
-def read_plan(path: Path) -> Plan:
-    """Read ``FLEET.toml``, its template and its units."""
-    tables = checked_toml(read_toml(path), path, FleetTables, "fleet")
+def read_plan(path: Path, text: str | None = None, units: Sequence[Unit] | None = None) -> Plan:
+    """Read ``FLEET.toml``, or its ``text``, its template, and units that are not given."""
+    tables = checked_toml(read_toml(path) if text is None else text, path, FleetTables, "fleet")
     folder, options = path.parent, tables.units
     if isinstance(tables.template, str):
         template = (folder / tables.template).absolute()
         document = read_document(read_toml(folder / tables.template), folder / tables.template)
     else:
         template, document = path.absolute(), tables.template
-    if options.table is not None:
+    if units is None and options.table is not None:
         units = read_units(folder / options.table, options.name)
-    else:
+    elif units is None:
         units = find_units(str(options.glob), folder, options.name, template.parent)
     return Plan(path, template, document, units, tables.runs, tables.cluster).checked()
 

@@ -376,7 +376,14 @@ def _reasons(
             f"the joint hardly accelerates: in {100.0 * steady:.0f} % of the outputs inertia takes "
             "less than a twentieth of the torque"
         )
-    if undriven or small or slow:
+    scaled = null and any(p.name == "drive.kp" for p in members)
+    if scaled:
+        yield (
+            "no torque was recorded: one factor on gains, inertia, gravity and friction changes no "
+            "motion, and only what they are over kp is determined; a known mass, the inertia of a "
+            "body, or a known limit that the drive reaches tells the factor, too"
+        )
+    if undriven or small or slow or scaled:
         return
     if len(members) > 1:
         yield "their effects on the output have nearly the same shape in these recordings"

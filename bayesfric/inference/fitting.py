@@ -35,6 +35,7 @@ from bayesfric.inference.sampling import Sampling, sample
 from bayesfric.inference.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Likelihood, Target
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import scales_with_torque
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.signals import Signals
 
@@ -276,7 +277,7 @@ def closed_loop_mode(
     seed: int,
     progress: ProgressCallback = no_progress,
     *,
-    largest: float = 2.5,
+    largest: float = 3.5,
 ) -> ClosedLoopMode:
     """Find the mode of a closed-loop posterior, and how far its predictions reach.
 
@@ -329,17 +330,33 @@ def _fit_closed_loop(
     )
     # the likelihood is near normal in the parameters, and in the logarithms of the noise
     widths[k:] = np.nan
+    scaled, by = _scaled_by_gain(target)
+    if scaled:  # straight, up to its bounds
+        span = target.priors[by].upper - target.priors[by].lower
+        widths[by] = min(widths[by], 0.05 * span)
     shaped = target.with_widths(widths)
     centre = shaped.from_parameters(place[None])[0]
     steps = np.concatenate([0.05 * widths[:k], np.full(widths.size - k, 0.05)])
     _, information = slope_and_information(shaped, centre, steps)
+    if scaled:  # all of them over the gain may be all that is determined
+        information[by, by] += target.priors[by].sd() ** -2
     start = Start(centre, np.asarray(np.linalg.inv(information)))
-    posterior, share = draw(shaped, start, sampling.seed, progress=progress)
+    posterior, share = draw(shaped, start, sampling.seed, scaled=(scaled, by), progress=progress)
     if share < EFFICIENT:
         few = {"ensembles": 2, "min_ess": float(ENOUGH), "max_steps": 2000}
         posterior = sample(shaped, start, sampling.model_copy(update=few), progress=progress)
     posterior = replace(posterior, draws=_with_loop_doubt(shaped, posterior, rng))
     return Fit(shaped, posterior, tuple(estimates), faster=at_mode.faster)
+
+
+def _scaled_by_gain(target: Target) -> tuple[list[int], int]:
+    """Return indices of free parameters that scale with an unknown kp, and its own."""
+    if "drive.kp" not in target.free:
+        return [], 0
+    by, parameters = target.free.index("drive.kp"), target.likelihood.chain.parameters
+    units = {p.name: p.unit for p in parameters}
+    scaled = [j for j, n in enumerate(target.free) if scales_with_torque(units[n]) and j != by]
+    return scaled, by
 
 
 def _with_loop_doubt(

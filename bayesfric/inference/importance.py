@@ -10,7 +10,7 @@ noise: what moves a prediction and what spreads it are orthogonal in Fisher's in
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.special import logsumexp
@@ -100,17 +100,27 @@ def draw(
     start: Start,
     seed: int,
     *,
+    scaled: tuple[Sequence[int], int] = ((), 0),
     enough: int = ENOUGH,
     most: int = MOST,
     progress: ProgressCallback = no_progress,
 ) -> tuple[Posterior, float]:
-    """Draw from the posterior; return it, and the share of the draws that counts."""
+    """Draw from the posterior; return it, and the share of the draws that counts.
+
+    Coordinates ``scaled`` are proposed as ratios to another one, of which they may be multiples.
+    """
+    columns, by = list(scaled[0]), scaled[1]
     began, d = time.perf_counter(), len(target.free)
     noise = start.mode[d:]
     random = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
-    normal = Proposal.normal(start.mode[:d], start.covariance[:d, :d])
+    slope, mode = np.eye(d), start.mode[:d].copy()
+    slope[columns, columns] = 1.0 / mode[by]
+    slope[columns, by] = -mode[columns] / mode[by] ** 2
+    mode[columns] /= mode[by]
+    normal = Proposal.normal(mode, slope @ start.covariance[:d, :d] @ slope.T)
     proposals, counts = [normal], list[int]()
     draws, heights, weights, share = np.empty((0, d)), np.empty(0), np.empty(0), 1.0
+    ratios = draws
     while True:
         effective = 1.0 / float(np.sum(weights**2)) if weights.size else 0.0
         progress(Progress("sampling", len(draws), effective, 1.0))
@@ -119,18 +129,22 @@ def draw(
         # a few to learn the shape from, then as many as are wanted at the efficiency so far
         number = max(20 * d, int(1.2 * (enough - effective) / max(share, 0.05)))
         number = min(number if len(counts) > 1 else 20 * d, most - len(draws))
-        new = proposals[-1].draw(number, random)
+        ratios = np.concatenate([ratios, new := proposals[-1].draw(number, random)])
+        new = new.copy()
+        new[:, columns] *= new[:, by : by + 1]
         draws, counts = np.concatenate([draws, new]), [*counts, number]
         full = np.column_stack([new, np.tile(noise, (number, 1))])
         heights = np.concatenate([heights, target(full)])
         shares = np.log(np.array(counts) / len(draws))
-        densities = np.stack([proposal.log_density(draws) for proposal in proposals])
+        densities = np.stack([proposal.log_density(ratios) for proposal in proposals])
+        if columns:
+            densities -= len(columns) * np.log(np.abs(draws[:, by]))
         log_weights = heights - logsumexp(densities + shares[:, None], axis=0)
         weights = np.exp(log_weights - logsumexp(log_weights))
         share = 1.0 / float(np.sum(weights**2)) / len(draws)
         if share * len(draws) > 2 * d:
             picked = random.choice(len(draws), 4 * len(draws), p=weights)
-            proposals.append(Proposal.fitted(draws[picked]))
+            proposals.append(Proposal.fitted(ratios[picked]))
         else:
             proposals.append(proposals[-1])
     z = random.multivariate_normal(noise, start.covariance[d:, d:], len(draws))

@@ -24,6 +24,7 @@ from scipy import stats
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.output_error import Shooting, choose_substeps
+from bayesfric.estimates.trajectory import Trajectory
 from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
 from bayesfric.inference.noise import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
@@ -31,7 +32,6 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Index
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.signals import Signals
-from bayesfric.recordings.trajectory import Trajectory
 
 # Relative steps of the derivatives by state and torque.
 _STEP = 1e-4

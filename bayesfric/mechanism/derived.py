@@ -21,6 +21,7 @@ from bayesfric.mechanism.quantities import (
     Parameter,
     effort_words,
     parameter,
+    scales_with_torque,
 )
 from bayesfric.recordings.arrays import Array
 
@@ -107,7 +108,7 @@ def derive(joint: Joint, values: Array, load_torque: float) -> tuple[Derived, ..
     at = {name: values[:, i] for i, name in enumerate(joint.names)}
     lossy = (element for element in joint.elements if element.load_loss != "none")
     coefficients = (row for e in lossy for row in _of_loss(joint, e, at, load_torque))
-    return (*_totals(joint, at, values.shape[0]), *coefficients)
+    return (*_totals(joint, at, values.shape[0]), *coefficients, *_over_gain(joint, at))
 
 
 def derivatives(
@@ -124,6 +125,22 @@ def derivatives(
         slopes, (up, down) = np.zeros(values.size), q.values[:-1].reshape(2, -1)
         slopes[moving] = (up - down) / (2.0 * steps[moving])
         yield q, float(q.values[-1]), slopes
+
+
+def _over_gain(joint: Joint, at: dict[str, Array]) -> Iterator[Derived]:
+    """Divide by an unknown gain of the drive: targets and positions alone determine that."""
+    gain = next((p for p in joint.parameters if p.name == "drive.kp"), None)
+    for p in joint.parameters if gain is not None else ():
+        if scales_with_torque(p.unit) and p is not gain:
+            assert gain is not None
+            yield Derived(
+                f"{p.name}_over_kp",
+                f"{p.unit}/({gain.unit})",
+                rf"{p.symbol}/{gain.symbol}",
+                f"{p.meaning}, over the gain of the drive",
+                at[p.name] / np.where(at[gain.name] > 0.0, at[gain.name], np.nan),
+                gauge_free=True,
+            )
 
 
 def _totals(joint: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:

@@ -178,6 +178,14 @@ class Joint:
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))
 
+    @property
+    def closed_loop(self) -> bool:
+        """Whether its motion can be predicted from targets alone, which stand for the torque.
+
+        A torque of the load that is computed from the recorded motion would follow it, not move it.
+        """
+        return self.by_target and not any(q.signal for q in self.load.quantities)
+
     def drive_gains(self, values: Array) -> tuple[Array, Array]:
         """Return kp over the one the law was read with, and what kd comes on top of the law's.
 

@@ -54,23 +54,13 @@ def prepare(
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
     measurements = _read_all(config, chain, recordings)
-    by_target = all(r.feedback is not None for r in measurements)
-    method, chosen = tables.likelihood.method, tables.likelihood.model_fields_set
-    if (method == "closed-loop") != by_target and (chosen or not by_target):
-        without = "closed-loop" if by_target else "input-error"
-        problem = (
-            f"is {method!r}, and no torque is recorded" if by_target else "needs targets alone"
-        )
-        where = f"{config.path}: likelihood.method"
-        raise BadInput(where, problem, f"leave it out for {without!r}")
-    if by_target and chain.delay is None:
+    chain = replace(chain, by_target=all(r.feedback is not None for r in measurements))
+    _check_method(config, chain)
+    if chain.by_target and chain.delay is None:
         # drives react late to their target, which looks like viscous friction
         chain = replace(chain, delay=True)
-    chain = replace(chain, by_target=by_target)
-    texts = config.priors
-    if by_target:
-        chain, ranges = _with_unknown_gains(config, chain, measurements)
-        texts = {**ranges, **texts}
+    chain, ranges = _with_unknown_gains(config, chain, measurements)
+    texts = {**ranges, **config.priors}
     with config.named():
         measurements, parts, doubted = _with_band(measurements, chain, tables)
         # the torque's rate scales a prior, for any delay
@@ -107,7 +97,12 @@ def _with_unknown_gains(
 ) -> tuple[Joint, dict[str, PriorText]]:
     """Make unknown gains of the drive parameters; all recordings have the same."""
     laws = [r.law for r in recordings if r.law is not None]
+    if not (chain.by_target and any(law.unknown for law in laws)):
+        return chain, {}
     unknown, where = laws[0].unknown, f"{config.path}: recordings"
+    if not chain.closed_loop:
+        problem = "have gains that are not known, and a load from further columns"
+        raise BadInput(where, problem, "give the gains")
     if any(law.unknown != unknown or (unknown and law.kp != laws[0].kp) for law in laws):
         raise BadInput(where, "differ in gains that are not known", "fit one gain at a time")
     if unknown and chain.gain:
@@ -211,8 +206,8 @@ def _with_refined_motion(
 
 
 def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measurement]) -> None:
-    """Refuse duplicate and reserved names, and held-out data for simulations."""
-    where, tables = f"{config.path}: recordings", config.tables
+    """Refuse duplicate and reserved names."""
+    where = f"{config.path}: recordings"
     for name, count in Counter(r.name for r in recordings).items():
         if count > 1:
             raise BadInput(where, f"{count} are called {name!r}", "give each its own name = ...")
@@ -220,9 +215,20 @@ def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measure
         if "/" in name or name in {*chain.names, "chain", "draw", "lp", "ensemble"}:
             problem = f"a recording cannot be called {name!r}"
             raise BadInput(where, problem, "give it another name with name = ...")
+
+
+def _check_method(config: Config, chain: Joint) -> None:
+    """Refuse a likelihood that these recordings do not have, and held-out data for positions."""
+    tables, method = config.tables, config.tables.likelihood.method
+    chosen = tables.likelihood.model_fields_set
+    if (method == "closed-loop") != chain.closed_loop and (chosen or method == "closed-loop"):
+        why = (
+            "and no torque is recorded" if chain.closed_loop else "and not all is of targets alone"
+        )
+        where = f"{config.path}: likelihood.method"
+        raise BadInput(where, f"is {method!r}, {why}", "leave it out")
     holds_out = tables.validation.recordings or tables.validation.hold_out is not None
-    by_target = all(r.feedback is not None for r in recordings)
-    if holds_out and (by_target or tables.likelihood.method == "output-error"):
+    if holds_out and (chain.closed_loop or method == "output-error"):
         raise BadInput(
             f"{config.path}: validation",
             "is not offered for a likelihood of the position",
@@ -306,7 +312,7 @@ def _check_priors(config: Config, chain: Joint) -> None:
 def _noise_quantities(config: Config, chain: Joint) -> tuple[str, ...]:
     """Noise scales that may have a prior."""
     tables = config.tables
-    if chain.by_target:
+    if chain.closed_loop:
         return CLOSED_LOOP_NOISE.quantities
     if tables.likelihood.method == "output-error":
         return PositionLikelihood.noise.quantities

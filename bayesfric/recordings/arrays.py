@@ -44,3 +44,10 @@ def near(flags: Flags, reach: int, ahead: int | None = None) -> Flags:
 def without_excluded(segments: Segments, excluded: Flags) -> Segments:
     """Split segments at excluded samples."""
     return tuple(part for a, b in segments for part in runs(~excluded[a:b], a))
+
+
+def pchip(at: Array, stamps: Array, values: Array) -> Array:
+    """Interpolate by PCHIP, which keeps the slope continuous; constant beyond its ends."""
+    from scipy.interpolate import pchip_interpolate
+
+    return np.asarray(pchip_interpolate(stamps, values, np.clip(at, stamps[0], stamps[-1])))

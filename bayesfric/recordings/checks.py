@@ -65,11 +65,6 @@ def quantisation(values: Array) -> float | None:
     return step if step > 1e-6 * float(np.ptp(values)) else None
 
 
-def whole_numbers(values: Array, *, least: int = 20) -> bool:
-    """Whether a raw signal holds whole numbers only, more than a switched torque would."""
-    return bool(np.all(values == np.round(values))) and np.unique(values).size > least
-
-
 def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, int]:
     """Undo the jumps of a counter ``(n,)``, NaN in holes; returns where it wraps, and their number.
 
@@ -410,29 +405,34 @@ def feedback(
     return None
 
 
-def target_fault(target: Array, position: Array, *, lags: int = 10) -> tuple[str, str] | None:
+def target_fault(
+    target: Array, position: Array, used: Flags, *, lags: int = 40, most: int = 100_000
+) -> tuple[str, str] | None:
     """Say why a position ``(n,)`` cannot follow a target ``(n,)``, and what to do.
 
-    A position comes after its target, is about as large, and moves the same way.
+    A position comes after its target, is about as large, and moves the same way; ``used`` are the
+    samples at which the drive is on.
     """
     if not np.ptp(target):
         return "never moves", "record a motion, or name the column of targets"
     lags = min(lags, target.size // 4)
-    middle = slice(lags, target.size - lags)
-    goals = np.array([np.roll(target, k)[middle] for k in range(-lags, lags + 1)])
-    goals = goals - goals.mean(axis=1, keepdims=True)
-    q = position[middle] - position[middle].mean()
-    sizes = np.sqrt((goals**2).sum(axis=1) * (q @ q))
-    correlation = np.divide(goals @ q, sizes, out=np.zeros(len(goals)), where=sizes > 0.0)
+    middle = np.flatnonzero(used)[:most]
+    middle = middle[(middle >= lags) & (middle < target.size - lags)]
+    if middle.size < 2:
+        return None
+    q, correlation = position[middle], np.zeros(2 * lags + 1)
+    q = (q - q.mean()) / max(float(np.std(q)), 1e-300) / middle.size
+    for k in range(-lags, lags + 1):
+        goal = target[middle - k]
+        correlation[lags + k] = (goal @ q) / max(float(np.std(goal)), 1e-300)
     best = int(np.argmax(correlation))
     ratio = float(np.std(target)) / max(float(np.std(position)), 1e-300)
-    if correlation[best] < 0.2:
-        runs = "runs against" if correlation.min() < -0.7 else "does not move"
-        return f"the position {runs} this target", "take this joint's own target, with its sign"
+    if correlation[best] < 0.2 and correlation.min() < -0.7:
+        return "the position runs against this target", "turn its sign, or take this joint's own"
     if correlation[best] > 0.7 and not 0.1 < ratio < 10.0:
         return f"the target moves {ratio:.3g} times as far as the position", "correct its unit"
     left = 1.0 - correlation**2
-    if best < lags and left[best] < 0.8 * left[lags]:
+    if 0 < best < lags and correlation[best] > 0.9 and left[best] < 0.8 * left[lags]:
         problem = f"the position comes {lags - best} samples before this target"
         return problem, "swap the two columns, or log targets when they are sent"
     return None

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags, Index, Segments
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, pchip
 
 # Shorter segments between gaps are left out.
 LEAST_SAMPLES = 50
@@ -46,9 +46,7 @@ class Grid:
 
     def smooth(self, values: Array) -> Array:
         """Interpolate by PCHIP, which keeps the slope continuous."""
-        from scipy.interpolate import pchip_interpolate
-
-        return self._bring(values, lambda x, xp, fp: np.asarray(pchip_interpolate(xp, fp, x)))
+        return self._bring(values, pchip)
 
     def _bring(self, values: Array, interpolate: Callable[[Array, Array, Array], Array]) -> Array:
         parts = [values[a:b] for a, b in self.pieces]

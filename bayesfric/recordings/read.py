@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, pchip
 from bayesfric.recordings.measurement import (
     Grid,
     Inputs,
@@ -35,6 +35,7 @@ from bayesfric.recordings.source import (
     Columns,
     Current,
     Effort,
+    Filtered,
     Position,
     Processing,
     Recording,
@@ -188,8 +189,6 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
         steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
-    if law.closed and (fault := checks.target_fault(law.command / law.kp, joint)) is not None:
-        raise BadInput(table.label(channel.column), *fault)
     motor_speed = np.zeros(joint.shape) if speed is None else speed
     by_speed = channel.sign == "by-speed"
     if speed is None and (law.back_emf or law.kd or by_speed):
@@ -208,6 +207,10 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if source.steady and speed is not None:
         # a speed of a few of its steps is none
         excluded |= np.abs(speed) <= 3.5 * (checks.quantisation(speed) or 0.0)
+    if law.closed and (~excluded).any():
+        fault = checks.target_fault(law.command / law.kp, joint, ~excluded)
+        if fault is not None:
+            raise BadInput(table.label(channel.column), *fault)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     torque_constant = None
@@ -348,15 +351,12 @@ def _as_measured(
             rows, stale = rows[~stale], stale[~stale]
         text = f"time: values are held over {hold} rows; those that repeat are left out "
         text += f"({rows.size} of {time.size} remain), and not compared where they last longer"
-        return table.part(rows, time.size), time[rows], stale, None, [text]
+        return table.at(rows, time.size), time[rows], stale, None, [text]
     between, notes, paces = dict[str | int, Array](), list[str](), list[float]()
     for key, values in signals.items() if not source.steady else ():
         if (own := checks.own_rows(values, time)) is not None:
-            from scipy.interpolate import pchip_interpolate
-
             rows, how = own
-            inside = np.clip(time, *time[rows[[0, -1]]])
-            between[columns[key]] = pchip_interpolate(time[rows], values[rows], inside)
+            between[columns[key]] = pchip(time, time[rows], values[rows])
             notes.append(f"{key}: each value is {how}; interpolated between")
             paces.append(1.0 / float(np.median(np.diff(time[rows]))))
     return table.decoded(between, notes), time, never, min(paces, default=None), []
@@ -433,14 +433,17 @@ def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
     return first, last
 
 
-def _count_warnings(source: Columns, table: Table, chosen: slice) -> Iterator[str]:
-    """Warn of whole numbers in a unit that is not counted in."""
+def _count_warnings(
+    source: Columns, table: Table, chosen: slice, *, levels: int = 20
+) -> Iterator[str]:
+    """Warn of whole numbers in a unit that is not counted in, of more than a few ``levels``."""
     measured_in = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
     for key, channel in source.channels.items():
         if channel.unit not in measured_in or channel.times is not None or key == "temperature":
             continue
-        constant = channel.constant if isinstance(channel, Torque) else None
-        if constant is None and checks.whole_numbers(table.column(channel.column)[chosen]):
+        values = table.column(channel.column)[chosen]
+        scaled = isinstance(channel, Torque) and channel.constant
+        if not scaled and np.all(values == np.round(values)) and np.unique(values).size > levels:
             counted = "thousandths" if key == "time" else "encoder counts, or thousandths"
             yield (
                 f"{key}: all numbers are whole, and its unit is {channel.unit}: are they "
@@ -475,7 +478,7 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
 
 def _lag(channel: Channel | None) -> Lag | None:
     """Return the low-pass that a channel passed before it was recorded, where one is known."""
-    if not isinstance(channel, Velocity | Torque | Current) or channel.lowpass is None:
+    if not isinstance(channel, Filtered) or channel.lowpass is None:
         return None
     return channel.lowpass, channel.lowpass_order
 

@@ -410,11 +410,16 @@ def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
     """Return the table that was named, or the only one."""
     if wanted in names or (wanted is None and len(names) == 1):
         return wanted or names[0]
-    known = ", ".join(map(repr, names[:20]))
     if wanted is not None:
-        hint = f"it has {known}"
-        raise BadInput(f"{path}, table '{wanted}'", "there is no such table", hint)
+        raise _absent(f"{path}, table '{wanted}'", "no such table", names)
+    known = ", ".join(map(repr, names[:20]))
     raise BadInput(str(path), f"holds several tables ({known})", "name one with table")
+
+
+def _absent(where: str, what: str, known: Sequence[str], otherwise: str = "") -> BadInput:
+    """Say that something is not there, and what is."""
+    listed = ", ".join(map(repr, filter(None, known[:20])))
+    return BadInput(where, f"there is {what}", f"it has {listed}" if listed else otherwise)
 
 
 # --- JSON ---------------------------------------------------------------------------------------
@@ -463,9 +468,9 @@ def _inside(where: str, data: Any, table: str | None) -> Any:
         if isinstance(data, list):
             inner = {str(number): item for number, item in enumerate(data)}
         if not isinstance(inner, dict) or key not in inner:
-            known = ", ".join(map(repr, list(inner)[:20])) if isinstance(inner, dict) else ""
-            hint = f"it has {known}" if known else "give the path to the rows"
-            raise BadInput(f"{where}, table '{table}'", f"there is no key '{key}'", hint)
+            known = list(inner) if isinstance(inner, dict) else []
+            where = f"{where}, table '{table}'"
+            raise _absent(where, f"no key '{key}'", known, "give the path to the rows")
         data = inner[key]
     return data
 
@@ -624,30 +629,26 @@ def _lerobot_names(path: Path) -> dict[str, list[str]]:
     return {}
 
 
-def _read_hdf5(path: Path, options: TableOptions) -> Table:
+def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Table:
     """Read a file, one column a dataset, named by its path below the group that is the table.
 
     Without ``options.table``, its path, the only group with datasets, else the whole file.
     """
-    return _datasets(path, options.table or "", matlab=False)
-
-
-def _datasets(path: Path, wanted: str, *, matlab: bool) -> Table:
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
-    datasets: list[str] = []
+    columns: dict[str, tuple[str, str]] = {}
 
     def visit(name: str, item: Any) -> None:
         # MATLAB's internal datasets begin with #
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-            datasets.append(name)
+            columns[name] = "", ""
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
-    if not datasets:
+    if not columns:
         raise BadInput(str(path), "holds no datasets of numbers", "check the export")
-    columns = dict.fromkeys(datasets, ("", ""))
+    wanted = (options.table or "").replace("." if matlab else "/", "/")
 
     def load(name: str) -> NDArray[Any]:
         with h5py.File(path, "r") as file:
@@ -677,9 +678,8 @@ def _prefix(path: Path, names: Sequence[str], wanted: str | None) -> str:
     group = (wanted or "").strip("/") or (groups[0] if len(groups) == 1 else "")
     prefix = f"{group}/" if group else ""
     if not any(name.startswith(prefix) for name in names):
-        known = ", ".join(f"'{name}'" for name in groups[:20] if name)
-        hint = f"it has {known}" if known else "leave table out"
-        raise BadInput(f"{path}, table '{group}'", "there is no such group of columns", hint)
+        where = f"{path}, table '{group}'"
+        raise _absent(where, "no such group of columns", groups, "leave table out")
     return prefix
 
 
@@ -689,7 +689,7 @@ def _read_matlab(path: Path, options: TableOptions) -> Table:
         start = file.read(516)
     # of version 7.3, which is HDF5 behind a header of 512 bytes
     if start.startswith(b"MATLAB 7.3") or b"\x89HDF" in (start[:4], start[512:]):
-        return _datasets(path, (options.table or "").replace(".", "/"), matlab=True)
+        return _read_hdf5(path, options, matlab=True)
     from scipy.io import loadmat
 
     with warnings.catch_warnings():
@@ -888,7 +888,9 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
     # of the first message that has each: joints may take turns
     first = {name: value for row in reversed(rows) for name, value in row.items()}
     names = list(dict.fromkeys(name for row in rows for name in row))
-    units = [("s" if _is_time(first[name]) else _unit(kind, name)) for name in names]
+    by_name = _UNITS.get(kind, {}).items()
+    units = [next((unit for begin, unit in by_name if x.startswith(begin)), "") for x in names]
+    units = ["s" if _is_time(first[x]) else unit for x, unit in zip(names, units, strict=True)]
 
     def load(index: int) -> NDArray[Any]:
         if index == 0:
@@ -957,11 +959,6 @@ def _fields(message: Any) -> dict[str, Any]:
 
     walk(message, "")
     return values
-
-
-def _unit(kind: str, name: str) -> str:
-    units = _UNITS.get(kind, {}).items()
-    return next((unit for begin, unit in units if name.startswith(begin)), "")
 
 
 def _is_time(value: Any) -> bool:

@@ -23,17 +23,8 @@ from bayesfric.recordings.units import Hertz, HertzOrOff, Kilograms, Metres, Sec
 if TYPE_CHECKING:
     import pandas as pd
 
-CHANNELS = (
-    "time",
-    "position",
-    "velocity",
-    "torque",
-    "current",
-    "voltage",
-    "target",
-    "load_torque",
-    "temperature",
-)
+_CHANNELS = "time position velocity torque current voltage target load_torque temperature"
+CHANNELS = tuple(_CHANNELS.split())
 # Unit of numbers that are in SI already, whether the joint turns or slides.
 SI = "SI"
 
@@ -118,23 +109,19 @@ class Position(Channel):
     )
 
 
-Lowpass = Annotated[
-    Hertz | None,
-    Field(
+class Filtered(Channel):
+    """A signal that the drive may have filtered before it was recorded."""
+
+    lowpass: Hertz | None = Field(
+        None,
         description="Cut-off (-3 dB) of the causal low-pass that the drive applied before it was "
-        "recorded; what that took in the band is given back."
-    ),
-]
-LowpassOrder = Annotated[
-    Literal[1, 2], Field(description="Order of that filter; 2 is Butterworth.")
-]
+        "recorded; what that took in the band is given back.",
+    )
+    lowpass_order: Literal[1, 2] = Field(1, description="Order of that filter; 2 is Butterworth.")
 
 
-class Velocity(Position):
+class Velocity(Position, Filtered):
     """The velocity channel, of the joint or of the motor."""
-
-    lowpass: Lowpass = None
-    lowpass_order: LowpassOrder = 1
 
 
 class Effort(Channel):
@@ -180,11 +167,8 @@ class Effort(Channel):
         return self
 
 
-class Torque(Effort):
+class Torque(Effort, Filtered):
     """The motor torque (or force) itself, or a signal proportional to it."""
-
-    lowpass: Lowpass = None
-    lowpass_order: LowpassOrder = 1
 
     constant: str | None = Field(
         None, description="What turns the signal into a torque, such as '35.15 N/V'."
@@ -195,11 +179,8 @@ class Torque(Effort):
         return {"anyOf": [handler(core), {"type": ["number", "string"]}]}
 
 
-class Current(Effort):
+class Current(Effort, Filtered):
     """The motor current."""
-
-    lowpass: Lowpass = None
-    lowpass_order: LowpassOrder = 1
 
     torque_constant: TorqueConstant = Field(description="Torque per current, such as '0.32 N m/A'.")
 

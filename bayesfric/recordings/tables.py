@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.recordings import units
-from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.arrays import Array, Flags, Index, near, pchip
 
 # possessive, so that it fails at the first wrong character
 _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?")
@@ -187,13 +187,11 @@ class Table:
     def at(self, rows: Index, count: int) -> Table:
         """Select some of ``count`` rows, which every column must have."""
         if self.rows is None:
-            return replace(self, rows=rows, count=count)
-        return replace(self, rows=self.rows[rows])
-
-    def part(self, rows: Index, count: int) -> Table:
-        """Select some of ``count`` rows, also of columns that were interpolated."""
-        table = self.at(rows, count)
-        table._columns.update({key: values[rows] for key, values in self._columns.items()})
+            table = replace(self, rows=rows, count=count)
+        else:
+            table = replace(self, rows=self.rows[rows])
+        read = {key: values[rows] for key, values in self._columns.items() if values.size == count}
+        table._columns.update(read)
         return table
 
     def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
@@ -283,8 +281,8 @@ class Table:
 
         Rows are those of the column ``first``, at ``stamps`` (n,) of the column ``clock``. A column
         with other time stamps, or empty in more than a share ``max_share`` of the rows, is
-        interpolated by time, across no more than ``gap`` of its median steps: linearly, of a
-        ``flag`` the last value before.
+        interpolated by time, across no more than ``gap`` of its median steps, of a ``flag`` by
+        the last value before.
         """
         used = ~self.holes(first)
         if not used.any():
@@ -314,9 +312,12 @@ class Table:
             values = columns[key][stamped]
             before = np.searchsorted(time[stamped], stamps, "right") - 1
             inside = (before >= 0) & (stamps <= time[stamped][-1])
-            used &= inside & (np.append(steps, 0.0)[before] <= gap * np.median(steps))
-            interpolated = np.interp(stamps, time[stamped], values)
-            columns[key] = values[before] if key == flag else interpolated
+            wide = np.append(steps > gap * np.median(steps), False)
+            used &= inside & ~wide[before]
+            smooth, straight = (f(stamps, time[stamped], values) for f in (pchip, np.interp))
+            # next to a gap there is no slope
+            smooth = np.where(near(wide, 1)[before], straight, smooth)
+            columns[key] = values[before] if key == flag else smooth
             own_stamps.append(key)
         rows, notes = np.flatnonzero(used), list(self.notes)
         if not rows.size:

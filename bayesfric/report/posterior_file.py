@@ -162,7 +162,7 @@ def _pointwise(
         # the position's terms are combinations of outputs, two fewer a segment
         same = density.shape[1] == o.measured.size
         name = o.name if same else f"{o.name}.terms"
-        log_likelihood[name] = density.reshape(e, n, -1)
+        log_likelihood[name] = density.reshape(e, n, -1).astype(np.float32)
         predictive[o.name] = (predicted + noise).reshape(e, n, -1).astype(np.float32)
     return log_likelihood, predictive
 

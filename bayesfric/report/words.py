@@ -62,8 +62,14 @@ def clause(kind: str, values: Mapping[str, Any] | None = None) -> str:
     values = {"kind": kind, **(values or {})}
     statement = _FILL.vformat(words_of(_kind(kind, values))["what"], (), values)
     if kind == "missing":
-        statement += f" ({percent(values['share'])} % rms)"
+        statement += f" {_share(values)}"
     return statement
+
+
+def _share(values: Mapping[str, Any]) -> str:
+    """Say a share of the torque's rms, of which no more than a tenth of a per cent matters."""
+    small = values["share"] < 1e-3
+    return f"({'below 0.1' if small else percent(values['share'])} % rms)"
 
 
 def listed(parts: Sequence[str]) -> str:
@@ -78,7 +84,7 @@ def _kind(kind: str, values: Mapping[str, Any]) -> str:
 
 
 def _finding(statement: str, remedy: str, values: Mapping[str, Any]) -> tuple[str, str]:
-    share = f"({percent(values['share'])} % rms)"
+    share = _share(values)
     if values.get("span"):
         low, high = values["span"]
         return (

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.estimates.trajectory import Trajectory
 from bayesfric.inference.fitting import target_of
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior, read_prior
@@ -22,7 +23,6 @@ from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.signals import Signals
-from bayesfric.recordings.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -1,9 +1,9 @@
 """Fit a SIMULATED fleet with a population, ten worn units and five broken files.
 
 ``python studies/fleet/fleet.py FOLDER`` simulates it there, times a shell loop over ``bayesfric
-fit``, the fleet with 1, 2 and 4 workers and then the complete fleet, records the workers' memory,
-and compares worn units, broken files and population with the truth. Writes ``axis.json``
-or ``knee.json``.
+fit``, the fleet with 1, 2 and 4 workers, one that is killed and resumed, and then the complete
+fleet, records the workers' memory, and compares worn units, broken files and population with the
+truth. Writes ``axis.json`` or ``knee.json``.
 
 ``--kind knee`` simulates Rabbit knees (six seconds of a core each), ``axis`` plain motor axes (one
 second). Times include other load of the machine.
@@ -15,6 +15,7 @@ import argparse
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 import threading
@@ -162,13 +163,41 @@ def loop(folder: Path, count: int) -> dict[str, float]:
     return {"units": count - 1, "seconds": float(wall), "cpu_seconds": float(cpu)}
 
 
+def killed(folder: Path, plan: Path) -> dict[str, int]:
+    """Kill a fleet and its workers when half of its units are fitted, and resume it.
+
+    Counts the units that were fitted then, that resuming fitted again, and that it lost or changed.
+    """
+    units = folder / "killed" / "units"
+    words = ["fleet", plan.name, "-o", "killed", "--workers", "2", "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bayesfric", *words],
+        cwd=folder, stdout=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    count = len(Fleet.from_config(plan).plan.units)
+    while len(list(units.glob("*/unit.toml"))) < count // 2:
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    finished = {mark.parent: mark.stat().st_mtime_ns for mark in units.glob("*/unit.toml")}
+    resumed = command(folder, *words, "--resume")["found"]
+    same = [run for run, at in finished.items() if (run / "unit.toml").stat().st_mtime_ns == at]
+    return {
+        "units": count,
+        "finished": len(finished),
+        "again": len(finished) - len(same),
+        "fitted": len(list(units.glob("*/posterior.nc"))),
+        "failed": len(resumed["failed"]),
+    }
+
+
 def covered(folder: Path, kind: str, parts: int = 20) -> dict[str, Any]:
     """Split the fleet into parts, and count the 90 % intervals that hold mean and spread."""
     plan = Fleet.from_config(folder / "fleet.toml").plan
     counts: dict[str, Any] = {}
     for k in range(parts):
         runs = folder / "all" / "units"
-        names = [unit.name for unit in plan.units[k::parts]]
+        names = [unit.name for unit in plan.units[k::parts] if unit.name not in BROKEN]
         summaries = {name: Summary.read(read_summary_file(runs / name)) for name in names}
         for quantity in fleet_population(summaries):
             if quantity.name not in POPULATION[kind]:
@@ -207,6 +236,8 @@ def main() -> None:
         completed = command(folder, "fleet", plan.name, *words)
         result["timed"][workers] = {k: completed[k] for k in ("seconds", "cpu_seconds")}
         print(workers, result["timed"][workers], flush=True)
+    result["killed"] = killed(folder, plan)
+    print(result["killed"], flush=True)
     with watched() as memory:
         completed = command(folder, "fleet", "fleet.toml", "-o", "all", "--workers", "2", "--json")
     fleet_summary = completed["found"]

@@ -30,13 +30,13 @@ from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.estimates.torque import filtered_torque
+from bayesfric.estimates.trajectory import trajectory
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.recordings.signals import Signals, observe
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.trajectory import trajectory
 
 FOLDER = Path(__file__).resolve().parent
 PRESET = PRESETS["rabbit-knee"]

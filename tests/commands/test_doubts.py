@@ -46,11 +46,17 @@ def verdicts(summary):
 @pytest.mark.usefixtures("unexplained")
 def test_a_control_law_is_not_friction():
     """Torque 0.9 N m times the sign of speed: 0.1.0 called that Coulomb friction, and data."""
-    from tests.recordings.test_motion_checks import T, bang_bang
-
-    q, _, torque = bang_bang()
+    rng, period, q, v, rows = np.random.default_rng(5), 0.005, 0.3, 0.0, []
+    for _ in range(4000):
+        torque = 0.9 * (np.sign(v) if v else 1.0)
+        rows.append((q, torque + 0.01 * rng.standard_normal()))
+        for _ in range(10):
+            loss = 0.85 * np.sign(v) + 0.1 * v
+            v += period / 10 * (torque - loss - 0.3 * 9.81 * np.sin(q)) / 0.15
+            q += period / 10 * v
     # more steps for a better posterior are not what is tested
-    summary = fitted(T, q, torque, preset="servo-pendulum", max_steps=2000)
+    options = {"preset": "servo-pendulum", "sampling": {"max_steps": 2000}}
+    summary = fitted(period * np.arange(4000), *np.array(rows).T, **options)
     assert "feedback" in kinds(summary)
     assert "data" not in verdicts(summary)
     assert summary.sampler.status == "tentative"

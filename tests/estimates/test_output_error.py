@@ -20,6 +20,7 @@ from bayesfric.estimates.output_error import (
     segment_length,
 )
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
+from bayesfric.estimates.trajectory import trajectory
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import multisine, square
 from bayesfric.mechanism.forward import simulate
@@ -28,7 +29,6 @@ from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
 
 PERIOD = 2e-3

@@ -165,7 +165,7 @@ def test_every_choice_of_the_table_has_a_number_or_is_listed_as_lost(bearer, opt
     shapes = {"stribeck_velocity", "stribeck_exponent", "power_exponent", "warming_time"}
     lost = {
         name
-        for row in lost_terms(joint, FORMATS["mujoco"], values[0], motions)
+        for row in lost_terms(joint, FORMATS["mujoco"], values[0], motions, 0.0)[0]
         for name in row["parameters"]
     }
     for k, p in enumerate(joint.parameters):
@@ -191,15 +191,15 @@ def test_folding_keeps_the_inertia_of_a_joint_alone(name):
 def test_the_body_has_inertia_and_first_moment(inertia, moment, angle):
     names = ("link_inertia", "armature", "link_moment", "link_gravity_angle")
     body = body_of(dict(zip(names, (inertia, 0.01, moment, angle), strict=True)), rotary=True)
-    distance = np.hypot(body.com[0], body.com[2])
-    assert body.mass * distance == pytest.approx(moment)
-    about = body.about_axis + body.mass * distance**2
-    assert about + body.armature == pytest.approx(inertia + 0.01)
-    assert 2.0 * body.across >= body.about_axis > 0.0  # a body can have it
-    assert body.armature > 0.0
+    distance = np.hypot(body["com"][0], body["com"][2])
+    assert body["mass"] * distance == pytest.approx(moment)
+    about = body["about_axis"] + body["mass"] * distance**2
+    assert about + body["armature"] == pytest.approx(inertia + 0.01)
+    assert 2.0 * body["across"] >= body["about_axis"] > 0.0  # a body can have it
+    assert body["armature"] > 0.0
     # a pendulum has at least the inertia of its mass at its distance
     lightest = moment**2 / (inertia or 0.01)
-    assert lightest < body.mass < (2.01 if inertia else 1.25) * lightest
+    assert lightest < body["mass"] < (2.01 if inertia else 1.25) * lightest
 
 
 @pytest.mark.parametrize("rotary", [True, False])
@@ -207,10 +207,10 @@ def test_the_body_has_inertia_and_first_moment(inertia, moment, angle):
 def test_a_rotors_inertia_stays_the_rotors_where_no_link_has_weight(rotary, inertia):
     names = dict.fromkeys(("link_moment", "link_gravity_angle"), 0.0)
     body = body_of(names | {"armature": 95.0, "link_inertia": inertia}, rotary)
-    assert body.armature == pytest.approx(95.0, rel=0.0 if inertia else 2e-3)
-    assert body.armature + body.inertia == pytest.approx(95.0 + inertia, rel=1e-12)
-    assert body.mass > 0.0
-    assert 2.0 * body.across >= body.about_axis > 0.0
+    assert body["armature"] == pytest.approx(95.0, rel=0.0 if inertia else 2e-3)
+    assert body["armature"] + body["inertia"] == pytest.approx(95.0 + inertia, rel=1e-12)
+    assert body["mass"] > 0.0
+    assert 2.0 * body["across"] >= body["about_axis"] > 0.0
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from scipy import stats
 from scipy.linalg import block_diag, null_space, toeplitz
 from scipy.signal import lsim
 
+from bayesfric.estimates.trajectory import Trajectory
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.position_likelihood import PositionLikelihood
@@ -16,7 +17,6 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.trajectory import Trajectory
 from tests.axis import AXIS, VALUES, torque_columns
 from tests.conftest import made_observation
 from tests.inference.test_autoregression import covariance

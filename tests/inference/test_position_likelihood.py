@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.output_error import Shooting
+from bayesfric.estimates.trajectory import Trajectory
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record
@@ -13,7 +14,6 @@ from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.trajectory import Trajectory
 
 KNEE = PRESETS["rabbit-knee"]
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
+from bayesfric.estimates.trajectory import trajectory
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law
 from bayesfric.recordings.signals import (
@@ -14,7 +15,6 @@ from bayesfric.recordings.signals import (
     unlimited_command,
 )
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
 
 PERIOD = 2e-3

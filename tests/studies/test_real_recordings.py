@@ -97,7 +97,7 @@ def test_xl330_voltage_is_signed_duty_times_supply_less_back_emf():
 def predicted(name):
     problem, result = run(name)
     held_out = predict_held_out(result.target, result.posterior, problem.held_out)
-    record = validation_record(replace(result, held_out=held_out)).as_dict()["pooled"]
+    record = validation_record(replace(result, held_out=held_out))["pooled"]
     return problem, replace(result, held_out=held_out), record
 
 

@@ -174,8 +174,11 @@ def _totals(fit: Fit, *, budget: int = 25_000_000) -> Group:
     observations = [o.excerpt() for o in fit.observations]
     projection = TotalsProjection(fit.chain, observations)
     names = list(zip(projection.names, projection.labels, projection.open, strict=True))
+    # a torque that was computed with another gain has no totals
     wanted = [
-        i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
+        i
+        for i, (_, label, open_) in enumerate(names)
+        if not (label in fit.chain.names or open_ or fit.chain.kp)
     ]
     max_count = max(400, budget // sum(o.q.size for o in observations))
 

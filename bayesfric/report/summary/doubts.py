@@ -141,6 +141,7 @@ def find_doubts(
         *_missing(summary, of_data),
         *_unexplained(summary),
         *([] if closed else doubts_before(fit.estimates[0], fit.observations)),
+        *([{"kind": "faster", "names": [*fit.faster]}] if fit.faster else []),
         *_cut(summary),
         *([] if closed else _acceleration(fit, summary, determined)),
         *correlated(summary, determined),

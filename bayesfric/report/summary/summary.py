@@ -106,7 +106,6 @@ def _warnings(
         line_of("unseen-inertia", {"names": unseen}) if unseen else "",
         *(bound_warning(name, row) for name, row in parameters.items() if row.converged),
         line_of("linearised", {"change": change}) if change >= linear else "",
-        line_of("faster", {"names": [*fit.faster]}) if fit.faster else "",
         *(f"{o.name}: {text}" for o in (*fit.observations, *held_out) for text in o.warnings),
     ]
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
+from bayesfric.estimates.trajectory import divided, trajectory
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.signals import observe
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.trajectory import divided, trajectory
 from tests.conftest import made_recording
 
 
