@@ -668,6 +668,7 @@ class Model:
             progress(Progress("what else explains the motion"))
             explained = explain_closed_loop(fit.target, fit.posterior.median, settings.seed)
         assert explained is not None
+        progress(Progress("model discrepancy"))
         errors = discrepancy(fit.target, fit.posterior, explained.missing)
         fit = replace(fit, discrepancy=errors)
         contradicted = {} if closed else model.contradicted(dict(start.searched.point))

@@ -1,5 +1,6 @@
 """Forward selection and its design matrix, against dense algebra on random and exact columns."""
 
+import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -105,6 +106,16 @@ def test_limit_and_probability_are_those_of_the_replicates_largest(size, count):
     assert effect.p == (1 + np.sum(largest >= effect.statistic)) / (count + 1)
     assert effect.significant == bool(size) == (effect.statistic > effect.limit)
     assert effect.kind == "offset" if size else effect.statistic == effect.largest
+
+
+@pytest.mark.parametrize("noise", [WHITE, LAGGED])
+def test_stored_columns_are_as_given_and_leave_memory_once_used(noise):
+    given = replace(columns(np.random.default_rng(5)), autocorrelation=noise)
+    (stored,) = StoredColumns([given])
+    np.testing.assert_array_equal(stored.whitened.others, given.whitened.others)
+    gone = weakref.ref(stored.others)
+    del stored  # not by the garbage collector, which runs too late
+    assert gone() is None
 
 
 def test_p_values_of_right_models_are_uniform():
