@@ -431,8 +431,10 @@ def target_fault(
         return "the position runs against this target", "turn its sign, or take this joint's own"
     if correlation[best] > 0.7 and not 0.1 < ratio < 10.0:
         return f"the target moves {ratio:.3g} times as far as the position", "correct its unit"
-    left = 1.0 - correlation**2
-    if 0 < best < lags and correlation[best] > 0.9 and left[best] < 0.8 * left[lags]:
+    left, steps = 1.0 - correlation**2, np.diff(target[middle])
+    turns = int(np.count_nonzero(np.diff(np.sign(steps[steps != 0.0]))))
+    # two slow moves have no lag to speak of
+    if turns >= 4 and 0 < best < lags and correlation[best] > 0.9 and left[best] < 0.8 * left[lags]:
         problem = f"the position comes {lags - best} samples before this target"
         return problem, "swap the two columns, or log targets when they are sent"
     return None
