@@ -20,8 +20,9 @@ from bayesfric.arm.arm_coupling import coupled_joint, remark
 from bayesfric.arm.arm_delay import common_delay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import ArmOptions
+from bayesfric.arm.common_factors import common_factors, compared_torques
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
-from bayesfric.arm.inertial_prior import Bodies, UrdfJoint, directions, resolution
+from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, directions, resolution
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
 from bayesfric.fit.model import Model
@@ -122,50 +123,79 @@ class Arm:
                 ArmLog(path, name, options, layout, bodies.joints, size)
                 for path, name in zip(paths, names, strict=True)
             ]
-            efforts: dict[str, Measurement | BadInput] = {}
-            for name in logs[0].sources:
-                if self.options.of(name).fit:
-                    try:
-                        efforts[name] = logs[0].measured(bodies.joints[name])
-                    except BadInput as error:
-                        efforts[name] = error
             report(Progress("torque of the bodies"))
-            prior = bodies.prior(options.urdf, options.payload)
-            parameters = [prior.columns(loaded=log.loaded) for log in logs]
-            projected = self._projected(parameters, logs, efforts)
-            fitted = dict[str, FittedJoint]()
-            for name, effort in efforts.items():
-                directions, torques, resolved = projected[name]
-                joint = FittedJoint(bodies.joints[name], options.of(name).gear_ratio, directions)
-                if isinstance(effort, BadInput):
-                    joint = replace(joint, failure=str(effort))
-                else:
-                    urdf, *deviations = torques[0]
-                    joint = replace(
-                        joint,
-                        remarks=tuple(remarks(joint.joint, effort, urdf)),
-                        urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
-                        is_loaded=_rms([urdf]) > resolved,
-                    )
-                fitted[name] = joint
-
-            arguments = fitted, logs, projected, names[fitted_count:]
-            models = self._models(*arguments, delay=options.delay or 0.0)
-            late = None if options.delay is not None else common_delay(models)
-            if late is not None and late.evident:
-                models = self._models(*arguments, delay=late.value)
+            prior, others = bodies.prior(options.urdf, options.payload), names[fitted_count:]
+            delay = options.delay or 0.0
+            joints, models, torques = self._models(bodies, prior, logs, others, delay)
+            late = common_delay(models) if options.delay is None else None
+            evident = late is not None and late.evident
+            directions = {name: joint.directions for name, joint in joints.items()}
+            known = options.payload.given
+            factors = common_factors(bodies, prior, logs, models, directions, payload=known)
+            if factors.changes or evident:
+                delay = late.value if late is not None and evident else delay
+                bodies, prior = bodies.under(factors.gravity), prior.widened(factors.widths)
+                for arm_log in logs:
+                    arm_log.scales = factors.scales
+                joints, models, torques = self._models(bodies, prior, logs, others, delay)
             for name, model in models.items():
                 report(Progress(name))
-                fitted[name] = self._with_coupling(fitted[name], model, logs[0], projected[name][1])
+                joints[name] = self._with_coupling(joints[name], model, logs[0], torques[name])
                 try:
-                    result = model.fit(seed=seed, progress=report)
-                    fitted[name] = replace(fitted[name], result=result)
+                    result = factors.doubted(name, model.fit(seed=seed, progress=report))
+                    joints[name] = replace(joints[name], result=result)
                 except BadInput as error:
-                    fitted[name] = replace(fitted[name], failure=str(error))
-        if all(joint.result is None for joint in fitted.values()):
-            failures = "; ".join(f"{name}: {joint.failure}" for name, joint in fitted.items())
+                    joints[name] = replace(joints[name], failure=str(error))
+        if all(joint.result is None for joint in joints.values()):
+            failures = "; ".join(f"{name}: {joint.failure}" for name, joint in joints.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return FittedArm.combined(bodies, logs, fitted, prior, seed, assumed, late)
+        return FittedArm.combined(bodies, logs, joints, prior, seed, factors, assumed, late)
+
+    def _models(
+        self,
+        bodies: Bodies,
+        prior: InertialPrior,
+        logs: Sequence[ArmLog],
+        held_out: Sequence[str],
+        delay: float,
+    ) -> tuple[dict[str, FittedJoint], dict[str, Model], dict[str, list[Array]]]:
+        """Make the joints that are to be fitted, and the models of those that can be.
+
+        Also returns the torques ``(1 + k, n)`` of each joint in each log.
+        """
+        efforts: dict[str, Measurement | BadInput] = {}
+        for name in logs[0].sources:
+            if self.options.of(name).fit:
+                try:
+                    efforts[name] = logs[0].measured(bodies.joints[name])
+                except BadInput as error:
+                    efforts[name] = error
+        parameters = [prior.columns(loaded=log.loaded) for log in logs]
+        projected = self._projected(bodies, parameters, logs, efforts)
+        joints, models = dict[str, FittedJoint](), dict[str, Model]()
+        for name, effort in efforts.items():
+            directions, torques, resolved = projected[name]
+            joint = FittedJoint(
+                bodies.joints[name],
+                self.options.of(name).gear_ratio,
+                directions,
+                repeatability=self.options.repeatability,
+            )
+            try:
+                if isinstance(effort, BadInput):
+                    raise effort
+                models[name] = self._model(joint, logs, torques, held_out, delay)
+                urdf, *deviations = compared_torques(models[name])
+                joint = replace(
+                    joint,
+                    remarks=tuple(remarks(joint.joint, effort)),
+                    urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
+                    is_loaded=_rms([urdf]) > resolved,
+                )
+            except BadInput as error:
+                joint = replace(joint, failure=str(error))
+            joints[name] = joint
+        return joints, models, {name: torques for name, (_, torques, _) in projected.items()}
 
     def _with_coupling(
         self, joint: FittedJoint, model: Model, log: ArmLog, torques: Sequence[Array]
@@ -183,6 +213,7 @@ class Arm:
 
     def _projected(
         self,
+        bodies: Bodies,
         parameters: Sequence[Array],
         logs: Sequence[ArmLog],
         efforts: Mapping[str, Measurement | BadInput],
@@ -196,7 +227,7 @@ class Arm:
         ``(n_deviations, k)``, the torques ``(1 + k, n)`` in each log: nominal, and one sd along
         each direction, and the smallest rms torque that the effort resolves.
         """
-        bodies, order = self.bodies, list(self.bodies.joints)
+        order = list(bodies.joints)
         counts = [log.motion.shape[2] for log in logs]
         sizes = [max(compared * n // sum(counts), 1) for n in counts]
         samples = [
@@ -231,25 +262,6 @@ class Arm:
             name: (x, [torque[j, : 1 + x.shape[1]] for torque in projected], resolved[j])
             for j, (name, x) in enumerate(zip(order, joint_directions, strict=True))
         }
-
-    def _models(
-        self,
-        fitted: dict[str, FittedJoint],
-        logs: Sequence[ArmLog],
-        projected: Mapping[str, tuple[Array, list[Array], float]],
-        held_out: Sequence[str],
-        delay: float,
-    ) -> dict[str, Model]:
-        """Make the models of joints; the reason why there is none is put into ``fitted``."""
-        models = dict[str, Model]()
-        for name, joint in fitted.items():
-            try:
-                if not joint.failure:
-                    torques = projected[name][1]
-                    models[name] = self._model(joint, logs, torques, held_out, delay)
-            except BadInput as error:
-                fitted[name] = replace(joint, failure=str(error))
-        return models
 
     def _model(
         self,
@@ -305,23 +317,12 @@ class Arm:
         return Model.from_config(config, recordings=recordings)
 
 
-def remarks(joint: UrdfJoint, recording: Measurement, urdf: Array) -> Iterator[str]:
-    """Report where a joint's log contradicts the URDF.
-
-    The effort is regressed on the rigid-body torque ``urdf`` ``(n,)``, Coulomb and viscous
-    friction: where that torque is most of the effort, its factor is about 1.
-    """
+def remarks(joint: UrdfJoint, recording: Measurement) -> Iterator[str]:
+    """Report positions that the URDF does not allow."""
     travel, limit = float(np.ptp(recording.position)), joint.high - joint.low
     if travel > 1.5 * limit:
         limits = f"its limits in the URDF over {limit:.3g}"
         yield f"its positions range over {travel:.3g}, {limits}: is their unit right?"
-    speed = np.gradient(recording.position, recording.time)
-    columns = np.stack([urdf, np.sign(speed), speed, np.ones_like(urdf)], axis=1)
-    factor = float(np.linalg.lstsq(columns, recording.torque, rcond=None)[0][0])
-    share = abs(factor) * float(np.std(urdf)) / float(np.std(recording.torque))
-    if share > 0.5 and not 0.5 < factor < 2.0:
-        cause = "the opposite sign" if -2.0 < factor < -0.5 else "another unit or drive gain"
-        yield f"its effort is {factor:.2g} times the rigid-body torque of the URDF: has it {cause}?"
 
 
 def _rms(torques: Sequence[Array]) -> float:

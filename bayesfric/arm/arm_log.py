@@ -58,6 +58,7 @@ class ArmLog:
     ) -> None:
         self.path, self.name, self._processing = path, name, options.processing
         self.loaded = options.payload.logs is None or name in options.payload.logs
+        self.scales: Mapping[str, float] = {}  # of efforts in the log, by joint, which are undone
         self.sources: dict[str, Columns] = {}
         for joint_name, recording in layout.items():
             self.sources[joint_name] = _source({**recording, "file": str(path), "name": name})
@@ -101,17 +102,17 @@ class ArmLog:
 
     def measured(self, joint: UrdfJoint) -> Measurement:
         """Read a joint with its effort."""
-        return self._read(self._columns(self.sources[joint.name], {}), joint)
+        return self._read(self.recording(joint, np.zeros((0, 1))), joint)
 
     def recording(self, joint: UrdfJoint, torques: Array) -> Recording:
         """Add rigid-body torque and its deviations ``(1 + k, n)`` to a joint's columns.
 
         They are at the times of :attr:`motion`.
         """
-        names = [_URDF_TORQUE, *signals(len(torques) - 1)]
-        pairs = zip(names, torques, strict=True)
+        source, scale = self.sources[joint.name], self.scales.get(joint.name, 1.0)
+        pairs = zip((_URDF_TORQUE, *signals(len(torques) - 1)), torques, strict=False)
         computed = {name: interpolated(self.time, x, self._stamps) for name, x in pairs}
-        return self._columns(self.sources[joint.name], computed)
+        return self._columns(source, computed, scale)
 
     def _open(self, table: Table, joints: Joints) -> tuple[Table, Array, tuple[int, int]]:
         """Read all joints' columns at the rows in which each has a value, and which are chosen."""
@@ -197,10 +198,14 @@ class ArmLog:
             recording, ratio=1.0, motion=motion, motor_motion=motion, processing=self._processing
         )[0]
 
-    def _columns(self, source: Columns, computed: Mapping[str, Array]) -> Recording:
-        """Take the columns of one joint into memory, in addition to ``computed`` ones."""
-        from_log = map(_name, (key for key in source.columns if key not in computed))
+    def _columns(
+        self, source: Columns, computed: Mapping[str, Array], scale: float = 1.0
+    ) -> Recording:
+        """Take one joint's columns into memory, efforts over ``scale``, and ``computed`` ones."""
+        from_log = (name for name in map(_name, source.columns) if name not in computed)
         cells = {name: self.table.column(name) for name in from_log} | dict(computed)
+        if effort := source.torque or source.current or source.voltage:
+            cells[_name(effort.column)] = cells[_name(effort.column)] / scale
         document = source.model_dump(exclude_unset=True, exclude_none=True)
         keys = {k: v for k, v in document.items() if k in Columns.model_fields}
         for channel in (keys[key] for key in CHANNELS if key in keys):

@@ -20,6 +20,7 @@ from bayesfric.recordings.units import Delay, Kilograms, Metres
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 # Relative standard deviation of a drive gain, or range of its factor.
 Gain = Positive | tuple[Positive, Positive]
 
@@ -70,14 +71,30 @@ class Payload(Options):
         0.1, description="How far off its centre may be, and how large it is, m."
     )
 
+    @property
+    def given(self) -> bool:
+        """Whether anything is said of a payload, so that there is one."""
+        return self != Payload()
+
 
 class Uncertainty(Options):
     """The ``[urdf]`` table: how well the bodies of the URDF are known, as standard deviations."""
 
-    factor: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
+    factor: NotNegative = Field(
         0.1, description="Relative, of all bodies together, and once more of each by itself."
     )
     centre: Metres = Field(0.02, description="Of each body's centre of mass, m, along each axis.")
+
+
+class Repeatability(Options):
+    """The ``[repeatability]`` table: relative standard deviations from one log to another."""
+
+    friction: NotNegative = Field(
+        0.1, description="Of friction, as temperature, grease and time change it."
+    )
+    effort: NotNegative = Field(
+        0.05, description="Of the effort per torque, as drive gains and poses change it."
+    )
 
 
 class Coupling(Options):
@@ -139,6 +156,9 @@ class ArmOptions(Options):
     gravity: Vector = Field((0.0, 0.0, -9.80665), description="In the frame of the root, m/s².")
     payload: Payload = Field(Payload(), description="A mass that is not in the URDF.")
     coupling: Coupling = Field(Coupling(), description="Joints of which a motor turns several.")
+    repeatability: Repeatability = Field(
+        Repeatability(), description="What may differ in another log, in bands of its prediction."
+    )
     urdf: Uncertainty = Field(Uncertainty(), description="How well the URDF is known.")
     recording: dict[str, Any] = Field(
         default_factory=dict,

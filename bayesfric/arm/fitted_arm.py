@@ -17,10 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import NUMBERS
+from bayesfric.arm.arm_options import NUMBERS, Repeatability
+from bayesfric.arm.common_factors import CommonFactors
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
 from bayesfric.arm.joint_consistency import (
     UNLIKELY,
@@ -32,7 +34,7 @@ from bayesfric.base import __version__
 from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.model import Result
 from bayesfric.identifiability.local import WIDE
-from bayesfric.inference.posterior import Posterior, predict_held_out
+from bayesfric.inference.posterior import Posterior, Prediction, predict_held_out
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.arrays import Array, rms
 from bayesfric.report.numbers import TEXT, p_text
@@ -46,6 +48,8 @@ from bayesfric.report.words import filled
 COLUMNS = [number.title for number in NUMBERS.values() if number.title]  # of the table
 # Draws by which a joint's numbers follow the others.
 _DRAWS = 4000
+# Draws of predictions.
+_PREDICTED = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +63,7 @@ class FittedJoint:
     failure: str = ""
     remarks: tuple[str, ...] = ()
     is_coupled: bool = False  # by its data, while no option says so
+    repeatability: Repeatability = field(default_factory=Repeatability)
     is_loaded: bool = True  # whether the log resolves its rigid-body torque
     # torque_rms of the bodies on this motion, N m or N, and doubt_rms, the prior sd of that
     urdf: Mapping[str, float] = field(default_factory=dict)
@@ -105,23 +110,27 @@ class FittedJoint:
         What the law has in addition to these numbers is fitted by them along the log.
         """
         fit, parts = self.fitted.fit, []
-        keys = [key for key in NUMBERS if self.number_rows(key)]
+        keys = [key for key in NUMBERS if self.number_rows(key) and key != "gain"]
+        gains = [row.mean for row in self.number_rows("gain")]
+        gain = gains[0] if gains else 1.0
         means = np.array([[self.rows[name].mean for name in fit.target.free]])
         law_values = fit.target.chain_values(means)[0]
+        law_values[[name == fit.chain.delay_name for name in fit.chain.names]] = 0.0
         losses = [name.startswith("motor.") or name == "offset" for name in fit.chain.names]
         values = np.stack([law_values, np.where(losses, 0.0, law_values)])
         for o in self.fitted.model.observations:
             motion, sign = (o.q, o.qd, o.qdd), np.sign(o.qd)
             law, rigid = inverse_torque(fit.chain, values, *motion, inputs=o.inputs, time=o.stamps)
-            terms = (o.qdd, sign, o.qd, np.abs(rigid) * sign, np.ones_like(sign))
-            columns = dict(zip(NUMBERS, terms, strict=True))
-            parts.append((law, rigid, *(columns[key] for key in keys)))
+            columns = {"armature": o.qdd, "coulomb": sign, "viscous": o.qd}
+            columns |= {"load": gain * np.abs(rigid) * sign, "offset": np.ones_like(sign)}
+            parts.append((law, rigid, *(columns[key] / gain for key in keys)))
         law, rigid, *by_key = np.concatenate(parts, axis=1)
         a = np.array(by_key).T
         numbers = np.array([np.mean([row.mean for row in self.number_rows(key)]) for key in keys])
         numbers += np.linalg.lstsq(a, law - rigid - a @ numbers)[0]
         left = rms(law - rigid - a @ numbers)
-        return dict(zip(keys, numbers.tolist(), strict=True)), left, rms(law)
+        known = dict(zip(keys, numbers.tolist(), strict=True))
+        return known | dict.fromkeys(["gain"] * len(gains), gain), left, rms(law)
 
     def coefficients(self, flat: Array) -> Array:
         """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""
@@ -173,18 +182,39 @@ class FittedJoint:
         if joint.by_all:
             draws = self.draws(z[rng.integers(len(z), size=_DRAWS)], rng)
             draws = draws[np.isfinite(draws).all(axis=1)]
-            posterior = replace(
-                posterior,
-                draws=draws[None, None],
-                log_density=np.full((1, 1, len(draws)), np.nan),
-                diagnostics=replace(posterior.diagnostics, acceptance=np.ones((1, 1))),
-            )
+            posterior = _with_draws(posterior, draws)
             joint = replace(joint, rows=self._updated_rows(posterior))
         if not model.held_out:
             return joint
-        held_out = predict_held_out(fit.target, posterior, model.held_out)
-        validation = validation_record(replace(fit, held_out=held_out))
-        return replace(joint, validation=validation)
+        held_out = joint.predicted(posterior, rng)
+        return replace(joint, validation=validation_record(replace(fit, held_out=held_out)))
+
+    def predicted(self, posterior: Posterior, rng: np.random.Generator) -> tuple[Prediction, ...]:
+        """Predict the held-out logs.
+
+        About the mean of a posterior, bands have the model discrepancy, and allow friction and
+        efforts to differ as far as ``repeatability`` says.
+        """
+        fit, held_out = self.fitted.fit, self.fitted.model.held_out
+        wide = posterior if self.by_all else fit.wide.posterior
+        draws = wide.flat(_PREDICTED).copy()
+        quantiles = norm.ppf((np.arange(len(draws)) + 0.5) / len(draws))
+        for key in ("coulomb", "viscous", "load"):
+            change = 1.0 + self.repeatability.friction * rng.permutation(quantiles)
+            at = [k for k, name in enumerate(wide.names) if name in NUMBERS[key].parameters]
+            draws[:, at] *= np.maximum(change, 0.0)[:, None]
+        predictions = []
+        for centre, band in zip(
+            predict_held_out(fit.target, posterior, held_out),
+            predict_held_out(fit.target, _with_draws(wide, draws), held_out),
+            strict=True,
+        ):
+            n = len(band.torque)
+            change = rng.permutation(quantiles)[:n, None] * self.repeatability.effort
+            torque = band.torque * (1.0 + change)
+            torque += centre.mean - torque.mean(axis=0)
+            predictions.append(replace(band, torque=torque))
+        return tuple(predictions)
 
     def _updated_rows(self, posterior: Posterior) -> dict[str, PosteriorRow]:
         """Change the reported numbers as the draws of the joint change."""
@@ -223,6 +253,10 @@ class FittedJoint:
         if not self.agrees:
             p = p_text(self.p_value)
             lines.append(f"excluded: contradicts the others about inertial parameters ({p})")
+        if any(finding.kind == "gravity" for finding in self.result.summary.findings):
+            lines.append(
+                "gravity acts on it that no bodies explain: is its axis right in the URDF?"
+            )
         lines += [f"added: {term.text}" for term in self.result.summary.taken]
         of_fit = (x for x in messages_of(self.result.summary) if x.kind != "held out")
         briefs = list(dict.fromkeys(message.brief for message in of_fit if message.brief))
@@ -264,6 +298,7 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
     consistency: JointConsistency
+    factors: CommonFactors
     assumed: str = ""  # about columns and units that the log does not name
     late: ArmDelay | None = None  # of the efforts; None where it is known
 
@@ -275,6 +310,7 @@ class FittedArm:
         joints: Mapping[str, FittedJoint],
         prior: InertialPrior,
         seed: int | None,
+        factors: CommonFactors,
         assumed: str = "",
         late: ArmDelay | None = None,
     ) -> FittedArm:
@@ -285,7 +321,7 @@ class FittedArm:
         consistency = combine_joints(prior, likelihoods, rng)
         for name, joint in fitted.items():
             updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, assumed, late)
+        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed, late)
 
     @property
     def urdf(self) -> Path:
@@ -333,7 +369,9 @@ class FittedArm:
             "p": consistency.p,
             "agreed": [*consistency.agreed],
             "physical": consistency.physical,
-            "width": consistency.width,
+            "width": float(np.max(self.prior.widths)),
+            "factor": dict(zip(("value", "sd"), self.factors.bodies, strict=True)),
+            "departures": [departure._asdict() for departure in self.factors.departures],
             "causes": consistency.deviations(self.prior),
             "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),
         }
@@ -415,6 +453,16 @@ class FittedArm:
         files = {"arm.json": f"{record}\n", "arm.html": page}
         write_files({folder / name: text for name, text in files.items()}, replace=True)
         return folder / "arm.html"
+
+
+def _with_draws(posterior: Posterior, draws: Array) -> Posterior:
+    """Replace the draws of a posterior by others ``(n, d)``, as of one chain."""
+    return replace(
+        posterior,
+        draws=draws[None, None],
+        log_density=np.full((1, 1, len(draws)), np.nan),
+        diagnostics=replace(posterior.diagnostics, acceptance=np.ones((1, 1))),
+    )
 
 
 def _cell(row: PosteriorRow | None) -> tuple[str, str]:

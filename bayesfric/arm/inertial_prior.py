@@ -20,7 +20,8 @@ import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -68,6 +69,14 @@ class InertialPrior:
     deviations: Sequence[tuple[str, float, str]]
     feasible: Array  # (n_deviations,) a z of which the payload is a physical body
     payload: Array  # (10 n_links,) part of the nominal, as the last deviations are
+    links: Sequence[str]  # of each deviation; empty for all, and for the payload
+    widths: Array | float = 1.0  # (n_deviations,) factors on the standard deviations as stated
+
+    def widened(self, widths: Array) -> InertialPrior:
+        """Multiply the standard deviations."""
+        rows = zip(self.deviations, widths.tolist(), strict=True)
+        deviations = [(name, sd * width, unit) for (name, sd, unit), width in rows]
+        return replace(self, spread=self.spread * widths, deviations=deviations, widths=widths)
 
     def columns(self, *, loaded: bool) -> Array:
         """Stack nominal and spread, ``(10 n_links, 1 + n_deviations)``, with payload or without."""
@@ -127,6 +136,12 @@ class Bodies:
         if self.motors is not None:
             self._map = self._map @ np.linalg.inv(self.motors)
 
+    def under(self, gravity: Vector) -> Bodies:
+        """Return the same bodies under another gravity."""
+        bodies = copy(self)
+        bodies.gravity = gravity
+        return bodies
+
     def prior(self, uncertainty: Uncertainty, payload: Payload) -> InertialPrior:
         """Build the prior of the inertial parameters, with the payload."""
         moving_joints = self._moving_joints()
@@ -168,6 +183,8 @@ class Bodies:
             [row[:3] for row in rows],
             feasible,
             known_payload.ravel(),
+            [self.links[row[3]] if isinstance(row[3], int) else "" for row in rows[:-PER_BODY]]
+            + [""] * PER_BODY,
         )
 
     def torques(self, motion: Array, parameters: Array) -> Array:

@@ -8,14 +8,11 @@ cost does not depend on the length of a log, and noise model and corrections of 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from bayesfric.arm.inertial_prior import InertialPrior, sample_feasible
@@ -53,25 +50,9 @@ class InertialLikelihood:
     def __add__(self, other: InertialLikelihood) -> InertialLikelihood:
         return InertialLikelihood(self.information + other.information, self.vector + other.vector)
 
-    @cached_property
-    def width(self) -> float:
-        """Factor on the prior's sds, 1 to 30, that maximises the marginal likelihood."""
-        size, axes = np.linalg.eigh(self.information)
-        size, axes = size[size > 1e-9], axes[:, size > 1e-9]  # others are zero
-        squares, noise = (axes.T @ self.vector / size) ** 2, 1.0 / size
-
-        def negative_log_likelihood(log_width: float) -> float:
-            variance = noise + math.exp(2.0 * log_width)
-            return float(np.sum(np.log(variance) + squares / variance))
-
-        bounds = (0.0, math.log(30.0))
-        optimum = minimize_scalar(negative_log_likelihood, bounds=bounds, method="bounded")
-        wider = size.size and optimum.fun < negative_log_likelihood(0.0)
-        return math.exp(optimum.x) if wider else 1.0
-
     def posterior(self) -> tuple[Array, Array]:
-        """Mean and covariance of ``z``, with a normal prior of its :attr:`width`."""
-        covariance = np.linalg.inv(np.eye(len(self.vector)) / self.width**2 + self.information)
+        """Mean and covariance of ``z``, with its standard normal prior."""
+        covariance = np.linalg.inv(np.eye(len(self.vector)) + self.information)
         return np.asarray(covariance @ self.vector), np.asarray(covariance)
 
     def p(
@@ -101,9 +82,8 @@ class JointConsistency:
     """The inertial parameters by all joints that agree."""
 
     draws: Array  # (n, n_deviations), all physical bodies
-    p: float  # p-value of the data under the URDF
+    p: float  # p-value of the data under the URDF, with its widths as stated
     physical: float  # share of the Gaussian's draws that are physical bodies
-    width: float  # factor on the prior's sds
     p_values: Mapping[str, float]  # by joint, under what the others that agree say
     agreed: tuple[str, ...]  # joints that are combined
 
@@ -123,8 +103,9 @@ def combine_joints(
 ) -> JointConsistency:
     """Combine the likelihoods of all joints that agree.
 
-    A joint that contradicts the others is excluded, the least likely first: position-dependent
-    friction, or a wrong drive gain, looks like an inertial parameter to that joint alone.
+    A joint that contradicts the others, under the widths and scales that explain all joints best,
+    is excluded, the least likely first: position-dependent friction looks like an inertial
+    parameter to that joint alone.
     """
     constant = InertialLikelihood.uninformative(len(prior.deviations))
     agreed = [*likelihoods]
@@ -142,4 +123,6 @@ def combine_joints(
     draws, physical = sample_feasible(
         prior.nominal, prior.spread, *total.posterior(), prior.feasible, rng
     )
-    return JointConsistency(draws, total.p(), physical, total.width, p_values, tuple(agreed))
+    stated = np.diag(1.0 / (prior.widths * np.ones(len(prior.deviations))) ** 2)
+    p = total.p(covariance=stated)
+    return JointConsistency(draws, p, physical, p_values, tuple(agreed))

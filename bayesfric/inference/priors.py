@@ -243,7 +243,8 @@ def joint_log_density(priors: Sequence[Prior]) -> Callable[[Array], Array]:
     families = [prior.distribution.dist.name for prior in priors]
     usual = [i for i, family in enumerate(families) if family in constants]
     others = [i for i, family in enumerate(families) if family not in constants]
-    lower, upper, mass = np.array([(p.lower, p.upper, p.mass) for p in priors]).T
+    limits = np.array([(p.lower, p.upper, p.mass) for p in priors]).reshape(-1, 3)
+    lower, upper, mass = limits.T
     places = [priors[i].distribution.kwds for i in usual]
     location = np.array([place.get("loc", 0.0) for place in places])
     scale = np.array([place.get("scale", 1.0) for place in places])

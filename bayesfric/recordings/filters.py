@@ -44,7 +44,7 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
         raise BadInput(where, problem, "choose another cut-off, or 'off' for no low-pass")
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)  # fifteen cut-offs of many recordings, again for each replicate
 def _butterworth(order: int, cutoff: float, fs: float) -> tuple[Array, Array]:
     """Design a Butterworth low-pass: second-order sections, and their states for a constant."""
     from scipy.signal import butter, sosfilt_zi

@@ -3,7 +3,8 @@
 ``python studies/ur10-arm/simulated.py`` simulates ``--arms`` (12; 40 s of CPU time each) of the
 URDF in ``../shared/data/ur10-arm`` for ``--seconds`` (27). MuJoCo's bodies differ from the URDF's
 by ``--sd`` (0.1; centres by 10 cm times that); recordings have friction, encoder steps and noise of
-autocorrelation ``--memory`` (0.8). ``--rollout`` also simulates another motion (60 s more each).
+autocorrelation ``--memory`` (0.8); ``--rate``, ``--jitter`` and ``--step`` are of the log.
+``--rollout`` also simulates another motion (60 s more each).
 Writes ``simulated-SD.json``; options other than the defaults are part of the name.
 """
 
@@ -37,11 +38,18 @@ TYPICAL = {  # of shoulder, elbow and wrists, as published; times 0.5 to 1.5
     "motor.load": (0.05, 0.05, 0.05, 0.05, 0.05, 0.05),
 }
 NOISE = (1.0, 1.0, 0.5, 0.2, 0.2, 0.2)  # N m
-STEP = 2.0 * np.pi / 2**19  # rad
-RATE, HARMONICS, BASE = 125.0, 5, 0.08
+HARMONICS, BASE = 5, 0.08
 PLAYED = 0.5  # s, after which a roll-out restarts
 # Command-line options: type and default.
-OPTIONS = {"arms": (int, 12), "sd": (float, 0.1), "memory": (float, 0.8), "seconds": (float, 27.0)}
+OPTIONS = {
+    "arms": (int, 12),
+    "sd": (float, 0.1),
+    "memory": (float, 0.8),  # autocorrelation of noise over 8 ms
+    "seconds": (float, 27.0),
+    "rate": (float, 125.0),  # Hz
+    "jitter": (float, 0.0),  # sd of the time of a sample, of its period
+    "step": (float, 2.0 * np.pi / 2**19),  # rad, of the encoder
+}
 
 
 def bodies(factors: dict[str, float], shifts: dict[str, np.ndarray]) -> str:
@@ -64,9 +72,11 @@ def bodies(factors: dict[str, float], shifts: dict[str, np.ndarray]) -> str:
     return ElementTree.tostring(root, "unicode")
 
 
-def motion(rng: np.random.Generator, seconds: float) -> tuple[np.ndarray, ...]:
+def motion(rng: np.random.Generator, options: Namespace) -> tuple[np.ndarray, ...]:
     """Return time ``(n,)``, position, speed and acceleration ``(n, 6)`` of Fourier series."""
-    time = np.arange(0.0, seconds, 1.0 / RATE)
+    time = np.arange(0.0, options.seconds, 1.0 / options.rate)
+    if options.jitter:
+        time += np.clip(options.jitter * rng.normal(size=time.size), -0.45, 0.45) / options.rate
     q = np.array([0.0, -1.2, 1.0, -0.5, 0.5, 0.0]) + np.zeros((time.size, 6))
     qd, qdd = np.zeros_like(q), np.zeros_like(q)
     for k in range(1, HARMONICS + 1):
@@ -82,7 +92,8 @@ def recorded(
     rng: np.random.Generator, text: str, joints: Iterable[tuple[str, dict]], options: Namespace
 ) -> pd.DataFrame:
     """Record the motion of an arm with URDF ``text`` and friction of its ``joints``."""
-    time, q, qd, qdd = motion(rng, options.seconds)
+    time, q, qd, qdd = motion(rng, options)
+    memory = options.memory ** (125.0 / options.rate)
     rigid, columns = rigid_torque(text, q, qd, qdd, GRAVITY), {"time [s]": time}
     for k, (name, friction) in enumerate(joints):
         effort = (
@@ -91,9 +102,9 @@ def recorded(
             + friction["motor.viscous"] * qd[:, k]
         )
         loss = friction["motor.coulomb"] + friction["motor.load"] * np.abs(rigid[:, k])
-        white = NOISE[k] * np.sqrt(1.0 - options.memory**2) * rng.normal(size=time.size)
-        effort += loss * np.sign(qd[:, k]) + lfilter([1.0], [1.0, -options.memory], white)
-        columns[f"position[{name}] [rad]"] = STEP * np.round(q[:, k] / STEP)
+        white = NOISE[k] * np.sqrt(1.0 - memory**2) * rng.normal(size=time.size)
+        effort += loss * np.sign(qd[:, k]) + lfilter([1.0], [1.0, -memory], white)
+        columns[f"position[{name}] [rad]"] = options.step * np.round(q[:, k] / options.step)
         columns[f"effort[{name}] [N m]"] = effort
     return pd.DataFrame(columns)
 
@@ -186,7 +197,7 @@ def main() -> None:
     text = json.dumps({**result, "of": arms}, indent=1, ensure_ascii=False)
     others = [
         f"{k}-{getattr(options, k):g}"
-        for k in ("memory", "seconds")
+        for k in ("memory", "seconds", "rate", "jitter", "step")
         if getattr(options, k) != OPTIONS[k][1]
     ]
     name = "-".join([f"simulated-{options.sd:g}", *others, *["rollout"] * options.rollout])

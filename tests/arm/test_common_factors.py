@@ -1,0 +1,71 @@
+"""Departures from a right URDF and log that all joints show, in simulated arms."""
+
+import pytest
+
+from bayesfric.arm.arm import Arm
+from bayesfric.arm.arm_columns import layout_of
+from bayesfric.arm.arm_log import ArmLog
+from bayesfric.arm.common_factors import common_factors
+
+from . import bench
+from .bench import ELBOW, GRAVITY, SHOULDER
+from .test_arm import TRUTH
+
+
+def examined(folder, changed, bodies=None):
+    """Fit no joint, but what they say together of a log that ``changed`` makes of a right one."""
+    text = bench.urdf(dict.fromkeys(bench.LINKS, bodies) if bodies else {})
+    (folder / "arm.urdf").write_text(bench.urdf())
+    changed(bench.log(text, TRUTH)).to_csv(folder / "log.csv", index=False)
+    arm = Arm(folder / "arm.urdf")
+    layout, _ = layout_of(folder / "log.csv", arm.bodies.joints, arm.options, None)
+    log = ArmLog(folder / "log.csv", "log", arm.options, layout, arm.bodies.joints, 50_000)
+    prior = arm.bodies.prior(arm.options.urdf, arm.options.payload)
+    joints, models, _ = arm._models(arm.bodies, prior, [log], [], 0.0)
+    directions = {name: joint.directions for name, joint in joints.items()}
+    return common_factors(arm.bodies, prior, [log], models, directions, payload=False)
+
+
+def times(**scales):
+    names = {f"effort[{name}] [N m]": scale for name, scale in scales.items()}
+    return lambda frame: frame.assign(**{key: x * frame[key] for key, x in names.items()})
+
+
+def without_gravity(frame):
+    q = frame[[f"position[{name}] [rad]" for name in TRUTH]].to_numpy()
+    weight = bench.rigid_torque(bench.urdf(), q, 0.0 * q, 0.0 * q, GRAVITY)
+    columns = [f"effort[{name}] [N m]" for name in TRUTH]
+    return frame.assign(**dict(zip(columns, (frame[columns].to_numpy() - weight).T, strict=True)))
+
+
+@pytest.mark.parametrize(
+    ("changed", "scales"),
+    [
+        (times(), {}),
+        (times(**{SHOULDER: 1.5, ELBOW: 1.5}), {SHOULDER: 1.5, ELBOW: 1.5}),
+        (times(**{SHOULDER: -1.0}), {SHOULDER: -1.0}),
+        (times(**{SHOULDER: 1e3, ELBOW: 1e3}), {SHOULDER: 1e3, ELBOW: 1e3}),
+    ],
+)
+def test_efforts_of_another_scale(tmp_path, changed, scales):
+    """Within three of their sds, the torque of bodies that are right known to 15 %."""
+    factors = examined(tmp_path, changed)
+    assert factors.joints.keys() == scales.keys() == factors.scales.keys()
+    assert not factors.has("gravity")
+    for name, scale in scales.items():
+        value, sd = factors.joints[name]
+        assert abs(value - scale) < 3.0 * sd < 0.45 * abs(scale)
+
+
+def test_efforts_without_gravity(tmp_path):
+    factors = examined(tmp_path, without_gravity)
+    assert factors.has("gravity")
+    assert factors.gravity == (0.0, 0.0, 0.0)
+    assert not factors.joints
+
+
+def test_bodies_that_are_all_heavier(tmp_path):
+    factors = examined(tmp_path, times(), bodies=1.25)
+    value, sd = factors.bodies
+    assert not factors.joints
+    assert abs(value - 1.25) < 3.0 * sd < 0.25
