@@ -293,6 +293,10 @@ class Model:
         """
         if reason := too_few_outputs(self.chain, self.observations):
             return Explanation(reason=reason)
+        seed = self.config.tables.sampling.seed if seed is None else seed
+        if self.method == "closed-loop":
+            mode = self._closed_loop_mode(progress)
+            return explain_closed_loop(mode.target, mode.parameters, seed)
         points = (estimate.point for estimate in estimates if estimate.point)
         point = next(points, None) or self.estimates(["input-error"], progress=progress)[0].point
         progress(Progress("what else explains the torque"))
@@ -303,7 +307,7 @@ class Model:
             self.config.tables.processing,
             dict(point),
             sorted(self.evidence.knowledge.fixed),
-            self.config.tables.sampling.seed if seed is None else seed,
+            seed,
         )
 
     def contradicted(self, start: Mapping[str, float]) -> dict[str, tuple[float, float]]:

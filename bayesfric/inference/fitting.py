@@ -360,12 +360,12 @@ def _scaled_by_gain(target: Target) -> tuple[list[int], int]:
 
 
 def _with_loop_doubt(
-    target: Target, posterior: Posterior, rng: np.random.Generator, *, longest: float = 1e-3
+    target: Target, posterior: Posterior, rng: np.random.Generator, *, size: float = 5e-4
 ) -> Array:
     """Add to draws what an unknown loop period T and lag of the drive's speed take away.
 
-    That is kp T/2 of viscous loss and kd (T/2 + lag) of inertia. Both are up to ``longest`` s: a
-    drive for joints closes its loop a thousand times a second or more often.
+    That is kp T/2 of viscous loss and kd (T/2 + lag) of inertia. Both are half normal of ``size``
+    s: a drive for joints closes its loop a thousand times a second, or more often.
     """
     likelihood, draws = target.likelihood, posterior.draws.copy()
     assert isinstance(likelihood, ClosedLoopLikelihood)
@@ -375,7 +375,7 @@ def _with_loop_doubt(
     factor, more = chain.drive_gains(target.chain_values(flat))
     scale = float(law.scale.mean())
     back, lag = (
-        rng.uniform(0.0, longest, len(flat)) * (known is None)
+        size * np.abs(rng.standard_normal(len(flat))) * (known is None)
         for known in (law.loop, law.velocity_filter)
     )
     lost = {
