@@ -37,7 +37,7 @@ def coupled_joint(
     ``torques`` ``(k, n)`` are the nominal rigid-body torque and its deviations along the log. By
     the Bayesian information criterion, and as much again for each ratio and joint that is tried.
     """
-    o, own = o.excerpt(), [*joints].index(name)
+    o, index = o.excerpt(), [*joints].index(name)
     load = np.stack([np.interp(o.stamps, log.time, x) for x in torques])
     nuisance = o.filter.apply(np.vstack([load, np.ones_like(o.stamps)])).T
     basis, _ = np.linalg.qr(nuisance)
@@ -50,10 +50,10 @@ def coupled_joint(
         residual = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
         return float(np.sqrt(np.mean(residual**2)))
 
-    moving = [j for j in range(len(joints)) if j != own and np.ptp(log.motion[0, j]) > 0.0]
+    moving = [j for j in range(len(joints)) if j != index and np.ptp(log.motion[0, j]) > 0.0]
     if not moving or o.measured.size < 2 * nuisance.shape[1]:
         return None
-    before = rms(own, 0.0)
+    before = rms(index, 0.0)
     after, other, ratio = min((rms(j, s), j, s) for j in moving for s in _RATIOS)
     after, ratio = min((rms(other, s), s) for s in ratio * np.linspace(0.7, 1.3, 25))
     evidence = 2.0 * o.measured.size * math.log(before / max(after, 1e-12 * before))

@@ -230,8 +230,8 @@ def _why_not(row: Mapping[str, Any], meaning: Named, log: Log) -> str:
     drives = ("torque", *_CONSTANTS)
     rivals = drives if meaning.channel in drives else (meaning.channel,)
     columns = [log.chosen[key][0] for key in rivals if key in log.chosen]
-    taken = "one of several" if OPEN in columns else "".join(f"{x} is taken" for x in columns[:1])
-    return taken or ("does not increase" if meaning.channel == "time" else "not of this joint")
+    reason = "one of several" if OPEN in columns else "".join(f"{x} is taken" for x in columns[:1])
+    return reason or ("does not increase" if meaning.channel == "time" else "not of this joint")
 
 
 def columns_text(draft: dict[str, Any], limit: int = 40) -> list[str]:
@@ -250,8 +250,8 @@ def columns_text(draft: dict[str, Any], limit: int = 40) -> list[str]:
         rows.append(
             (name if len(name) <= 48 else f"…{name[-47:]}", low, high, row["unit"], holes, meaning)
         )
-    more = [f"… {len(columns) - limit} more: --json"] if len(columns) > limit else []
-    return [*(aligned(rows) if columns else ()), *more, *draft.get("notes", ())]
+    remainder = [f"… {len(columns) - limit} more: --json"] if len(columns) > limit else []
+    return [*(aligned(rows) if columns else ()), *remainder, *draft.get("notes", ())]
 
 
 def _arm_configuration(log: Path, urdf: Path, layout: Mapping[str, Any]) -> dict[str, Any]:

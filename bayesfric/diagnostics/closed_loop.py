@@ -103,10 +103,10 @@ def _played(likelihood: ClosedLoopLikelihood, values: Array, r: int) -> tuple[Si
     o, recording = likelihood.observations[r], likelihood.recordings[r]
     assert recording.law is not None
     starts = [a for a, _ in recording.segments]
-    state, more = (o.q[starts], o.qd[starts]), {"inputs": o.inputs, "begin": recording.time[0]}
+    state, options = (o.q[starts], o.qd[starts]), {"inputs": o.inputs, "begin": recording.time[0]}
     q, qd = follow(
         likelihood.chain, values[None], recording.law, recording.period, recording.segments,
-        *state, **more,
+        *state, **options,
     )  # fmt: skip
     qdd = np.zeros_like(qd[0])
     for a, b in recording.segments:

@@ -343,8 +343,8 @@ def _fit_closed_loop(
     start = Start(centre, np.asarray(np.linalg.inv(information)))
     posterior, share = draw(shaped, start, sampling.seed, scaled=(scaled, by), progress=progress)
     if share < EFFICIENT:
-        few = {"ensembles": 2, "min_ess": float(ENOUGH), "max_steps": 2000}
-        posterior = sample(shaped, start, sampling.model_copy(update=few), progress=progress)
+        reduced = {"ensembles": 2, "min_ess": float(ENOUGH), "max_steps": 2000}
+        posterior = sample(shaped, start, sampling.model_copy(update=reduced), progress=progress)
     posterior = replace(posterior, draws=_with_loop_doubt(shaped, posterior, rng))
     return Fit(shaped, posterior, tuple(estimates), faster=at_mode.faster)
 

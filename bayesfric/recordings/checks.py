@@ -76,7 +76,7 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
     span = float(np.ptp(values[at])) if at.size else 0.0
     if not steps.size or np.abs(steps).max() <= 0.5 * span:
         return values, 0.0, 0
-    whole = bool(np.all(values[at] == np.round(values[at])))
+    is_integer = bool(np.all(values[at] == np.round(values[at])))
     # a counter jumps against the motion, by a modulus less a step of it
     is_jump = np.abs(steps) > 0.5 * span
     usual = float((np.abs(steps) / rows)[~is_jump].max(initial=0.0))
@@ -85,14 +85,14 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
     motion = around[is_jump].sum(axis=1) / np.maximum((around[is_jump] != 0.0).sum(axis=1), 1)
     jumped = steps[is_jump]
     sizes = np.abs(jumped - motion * rows[is_jump])
-    own = max(float(np.median(sizes)), span)
+    reset = max(float(np.median(sizes)), span)
     # the roundest number that is no further away than a step
-    tens = (10.0**k for k in range(int(np.log10(own)), int(np.log10(own)) - 8, -1))
-    round_ones = (np.ceil(span / ten - 1e-9) * ten for ten in tens)
-    own = next((x for x in round_ones if abs(x - own) <= usual), own)
+    tens = (10.0**k for k in range(int(np.log10(reset)), int(np.log10(reset)) - 8, -1))
+    round_numbers = (np.ceil(span / ten - 1e-9) * ten for ten in tens)
+    reset = next((x for x in round_numbers if abs(x - reset) <= usual), reset)
     against = np.mean(jumped * motion < 0.0) > 0.75
-    moduli = [*([turn] if turn else []), *(2.0 ** np.arange(8, 33) if whole else ())]
-    for modulus in [*moduli, *([own] if against else [])]:
+    moduli = [*([turn] if turn else []), *(2.0 ** np.arange(8, 33) if is_integer else ())]
+    for modulus in [*moduli, *([reset] if against else [])]:
         jumps = np.abs(steps) > modulus / 2.0
         if not jumps.any() or span > modulus * (1.0 + 1e-6):
             continue
@@ -106,8 +106,8 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
     return values, 0.0, jumped.size if np.abs(jumped).min() > 4.0 * usual else 0
 
 
-def failed_reads(values: Array, most: int | None) -> tuple[Flags, float]:
-    """Flag rows ``(n,)`` of failed reads, up to ``most`` in a row; returns also their value.
+def failed_reads(values: Array, longest: int | None) -> tuple[Flags, float]:
+    """Flag rows ``(n,)`` of failed reads, up to ``longest`` in a row; returns also their value.
 
     A bus whose motor gives no reply leaves zeros between values that are far from zero, or a whole
     number further from all others than these lie from each other.
@@ -121,7 +121,7 @@ def failed_reads(values: Array, most: int | None) -> tuple[Flags, float]:
     flags = np.zeros(values.size, dtype=np.bool_)
     for code in codes[::-1]:
         shifted = values[at] - code
-        failed = [x for x in runs(shifted == 0.0) if most is None or x[1] - x[0] <= most]
+        failed = [x for x in runs(shifted == 0.0) if longest is None or x[1] - x[0] <= longest]
         # one row may be a shock
         if not failed or not shifted.any() or (code and not 1 < len(failed) < 0.1 * at.size):
             continue

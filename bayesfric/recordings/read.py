@@ -271,8 +271,8 @@ def aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
         clock = source.time.column
         if clock in table.clocks.values():
             clock = table.clock(first) or clock
-            own = source.time.model_copy(update={"column": clock})
-            source = source.model_copy(update={"time": own})
+            timing = source.time.model_copy(update={"column": clock})
+            source = source.model_copy(update={"time": timing})
         table = table.without_repeats(source.columns, clock)
     source, table = decoded(source, table, drive)
     time = recorded_time(source, table, table.values(first if clock is None else clock).size)
@@ -295,8 +295,8 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
             values = np.where(values >= sign, sign - values, values)
         if key in _MEASURED and not source.steady:
             # a motion does not jump; a drive may be off for longer
-            most = None if key in ("position", "velocity") else 5
-            failed, code = checks.failed_reads(values, most)
+            longest = None if key in ("position", "velocity") else 5
+            failed, code = checks.failed_reads(values, longest)
             if failed.any():
                 values = np.where(failed, np.nan, values)
                 where = f"failed reads: column {channel.column!r} is {code:.6g} between values "
@@ -314,8 +314,8 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
                 factor * (-1 if channel.sign == -1 else 1),
             )
             if modulus:
-                what = "a turn" if modulus == turn else f"{modulus:.6g} counts"
-                notes.append(f"{key}: jumps by {what} at {jumps} places, unwrapped")
+                jump = "a turn" if modulus == turn else f"{modulus:.6g} counts"
+                notes.append(f"{key}: jumps by {jump} at {jumps} places, unwrapped")
             elif jumps and key == "position":
                 notes.append(f"position: jumps by half its range or more in {jumps} rows")
         if values is not table.values(channel.column):
@@ -354,8 +354,8 @@ def _as_measured(
         return table.at(rows, time.size), time[rows], stale, None, [text]
     between, notes, paces = dict[str | int, Array](), list[str](), list[float]()
     for key, values in signals.items() if not source.steady else ():
-        if (own := checks.own_rows(values, time)) is not None:
-            rows, how = own
+        if (measured_rows := checks.own_rows(values, time)) is not None:
+            rows, how = measured_rows
             between[columns[key]] = pchip(time, time[rows], values[rows])
             notes.append(f"{key}: each value is {how}; interpolated between")
             paces.append(1.0 / float(np.median(np.diff(time[rows]))))

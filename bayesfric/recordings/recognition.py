@@ -172,8 +172,8 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         fitting = _of_joint(named_so, label)
         if channel == "time":  # what else its name has is of a computer, not of a joint
             clocks = _clocks(named_so)
-            own = next((table.clock(c) for c, _ in chosen.values() if c != OPEN), None)
-            fitting = [s for s in clocks if s[0] == own] or _of_joint(clocks, label) or clocks
+            clock = next((table.clock(c) for c, _ in chosen.values() if c != OPEN), None)
+            fitting = [s for s in clocks if s[0] == clock] or _of_joint(clocks, label) or clocks
         if fitting:
             column, values, name = fitting[0]
             rivals = [c for c, x, n in fitting if n.rank == name.rank and not _same(x, values)]
@@ -222,12 +222,12 @@ def _clocks(signals: Signals) -> Signals:
     return [signals[k] for x, _, k in sorted(faults) if x < 2 or signals[k][2].rank < _UNSURE]
 
 
-def _steady(table: Table, taken: Collection[str | int]) -> list[str | int]:
+def _steady(table: Table, excluded: Collection[str | int]) -> list[str | int]:
     """List columns of no other meaning that increase steadily; numbers of rows if no others do."""
     clocks = list[tuple[bool, str | int]]()
     for number, name in enumerate(table.names, start=1):
         meaning, key = named(name), name or number
-        if key in taken or meaning.wanted or meaning.channel:
+        if key in excluded or meaning.wanted or meaning.channel:
             continue
         with suppress(BadInput):
             if (steps := increases(table.values(key))) is not None:
@@ -236,17 +236,19 @@ def _steady(table: Table, taken: Collection[str | int]) -> list[str | int]:
 
 
 def increases(values: Array, *, steadily: float = 0.9) -> Array | None:
-    """Return the steps of a column that increases, most of them alike, as those of a clock."""
+    """Return the steps of a column that increases, most of them equal, as those of a clock."""
     steps = np.diff(values[np.isfinite(values)])
     if steps.size < 2 or steps.min() <= 0.0:
         return None
-    alike = np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)
-    return steps if np.mean(alike) > steadily else None
+    regular = np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)
+    return steps if np.mean(regular) > steadily else None
 
 
-def _same(one: Array, other: Array) -> bool:
+def _same(column: Array, other: Array) -> bool:
     """Whether a column repeats another, or stands still."""
-    return not np.nanmax(one) > np.nanmin(one) or np.array_equal(one, other, equal_nan=True)
+    return not np.nanmax(column) > np.nanmin(column) or np.array_equal(
+        column, other, equal_nan=True
+    )
 
 
 def with_clocks(table: Table) -> Table:
@@ -297,15 +299,15 @@ def _with_sums(table: Table) -> Table:
     clocks = [name for name in names if named(name).channel == "time"]
     for name in clocks:
         part = _PART_OF_SECOND.fullmatch(name)
-        whole = next((x for s in _SECONDS if part and (x := f"{part[1]}{s}") in names), None)
+        of_seconds = next((x for s in _SECONDS if part and (x := f"{part[1]}{s}") in names), None)
         with suppress(BadInput):
-            if part and whole is not None:
-                seconds = table.values(whole)
+            if part and of_seconds is not None:
+                seconds = table.values(of_seconds)
                 share = table.values(name) * units.scale(
                     ["ns" if part[2][0] in "nN" else "us"], "time"
                 )
                 if np.nanmax(share) < 1.0 and not np.any(seconds % 1.0 > 0.0):
-                    sums[f"{whole} + {name}"] = seconds - seconds[0] + share
+                    sums[f"{of_seconds} + {name}"] = seconds - seconds[0] + share
                     marks.append("s")
             elif clocks == [name] and {"dt"} & {*_PARTS.findall(name.lower())}:
                 steps = table.values(name)
@@ -450,9 +452,9 @@ def named(name: str, written: str = "") -> Named:
     if not known:
         return _named_by_unit(words, inside, written)
     channel, rank = _CHANNEL[words[known[-1]]]
-    own = _WORDS[channel].split()
-    after = [w for w in words[known[-1] + 1 :] if w not in own]
-    left = [w for w in words[: known[-1]] if w not in own] + after
+    synonyms = _WORDS[channel].split()
+    after = [w for w in words[known[-1] + 1 :] if w not in synonyms]
+    left = [w for w in words[: known[-1]] if w not in synonyms] + after
     # a unit stands after the word of its signal, or is that word
     texts = [(" ".join(after[-n:]), n) for n in (2, 1) if len(after) >= n]
     if not _LONG_PREFIXES.isdisjoint(left):

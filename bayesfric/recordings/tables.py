@@ -294,9 +294,9 @@ class Table:
         own_stamps = list[str | int]()
         for key in keys:
             present, time = ~self.holes(key), stamps
-            own = self.clock(key) if clock in self.clocks.values() else None
-            if own is not None and clock is not None and own != clock:
-                time = self.stamps(own) * (self._seconds(own) / self._seconds(clock))
+            own_clock = self.clock(key) if clock in self.clocks.values() else None
+            if own_clock is not None and clock is not None and own_clock != clock:
+                time = self.stamps(own_clock) * (self._seconds(own_clock) / self._seconds(clock))
             if present.size != time.size:
                 problem = f"has {present.size} values, column '{first}' has {time.size}"
                 raise BadInput(self.label(key), problem, "give columns of one length")
