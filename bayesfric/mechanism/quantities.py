@@ -414,7 +414,7 @@ QUANTITIES: dict[str, Quantity] = {
         # the gains of the drive's controller, at the joint; a step of the law, not of the friction
         Quantity(
             "kp", ("N m/rad", "N/m"), "k_p", "gain of the drive's controller",
-            role="form", slots=(), prior="lognorm", spread=lambda _: 1.0, measurand="constant",
+            role="form", slots=(), spread=lambda s: s.torque / s.position, measurand="constant",
         ),
         Quantity(
             "kd", ("N m s/rad", "N s/m"), "k_d", "gain of the drive's controller for the speed",

@@ -231,7 +231,7 @@ def _check_method(config: Config, chain: Joint) -> None:
     if holds_out and (chain.closed_loop or method == "output-error"):
         raise BadInput(
             f"{config.path}: validation",
-            "is not offered for a likelihood of the position",
+            "is not offered for output-error or closed-loop, likelihoods of the position",
             "leave it out, or give a torque and the input-error likelihood",
         )
 

@@ -18,7 +18,8 @@ from scipy.signal import butter, lfilter
 
 from bayesfric import Element, Joint, Load, Recording, Term
 from bayesfric.mechanism import experiment
-from bayesfric.mechanism.forward import Motion, follow, simulate
+from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Law
 

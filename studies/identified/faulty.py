@@ -19,7 +19,7 @@ from scipy.signal import butter, sosfiltfilt
 from bayesfric.base.errors import BadInput
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.forward import follow
+from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import parse_config
 from bayesfric.recordings.measurement import Law
@@ -143,12 +143,12 @@ def moved(
     stamps = np.arange(samples) / servo.rate
     target, applied = path(stamps), path(instants / servo.rate)
     vector = np.array([[servo.truth[name] for name in PENDULUM.names]])
-    law = Law(servo.kp * applied, np.ones(applied.size), servo.kp, servo.kd)
+    law = Law(servo.kp * applied, np.ones(applied.size), servo.kp, servo.kd, held=held)
     ends = [[0, applied.size]], [applied[0]], [0.0]
     noise = rng.standard_normal(samples)  # always drawn, so that other draws do not depend on it
 
     def solve(push: Array | None) -> tuple[Array, Array, Array]:
-        q, qd = follow(PENDULUM, vector, law, period / steps, *ends, push=push, held=held)
+        q, qd = follow(PENDULUM, vector, law, period / steps, *ends, push=push)
         rows = [x[0, ::steps][before:] for x in (q, qd)]
         return *rows, servo.kp * (applied[::steps][before:] - rows[0]) - servo.kd * rows[1]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import bayesfric as bf
-from bayesfric.mechanism.forward import follow
+from bayesfric.mechanism.closed_loop import follow
 from bayesfric.recordings.measurement import Law
 
 RATE, SECONDS, KP, KD = 250.0, 12.0, 4.0, 0.05

@@ -11,7 +11,7 @@ from scipy.signal import resample
 
 from bayesfric.arm import excitation
 from bayesfric.arm.arm_columns import layout_of
-from bayesfric.arm.arm_options import Payload, Uncertainty
+from bayesfric.arm.arm_options import ArmOptions, Payload, Uncertainty
 from bayesfric.arm.excitation import Limits, exciting_trajectory, limits_of
 from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.errors import BadInput
@@ -36,7 +36,10 @@ def arm(tmp_path_factory):
     bodies = bodies_of(tmp_path_factory.mktemp("arm"), bench.urdf())
     limits = replace(limits_of(bodies), speed=np.array([2.0, 3.0]))
     return SimpleNamespace(
-        bodies=bodies, prior=bodies.prior(Uncertainty(), Payload()), limits=limits
+        bodies=bodies,
+        prior=bodies.prior(Uncertainty(), Payload()),
+        limits=limits,
+        options=ArmOptions(),
     )
 
 

@@ -118,7 +118,8 @@ def test_a_finding_doubts_what_it_moves_and_a_note_nothing(severity):
     finding = FOUND | {"severity": severity, "moves": {"motor.viscous": 2.0}}
     summary = Summary.read(knee() | {"findings": [finding]})
     totals = Estimate("least-squares", (), 1.0, 100, "N m")
-    fit = SimpleNamespace(estimates=(totals,), observations=())
+    target = SimpleNamespace(likelihood=SimpleNamespace(method="input-error"))
+    fit = SimpleNamespace(estimates=(totals,), observations=(), target=target, faster={})
     doubted = [x["parameters"] for x in find_doubts(fit, summary, {}) if x["kind"] == "missing"]
     assert doubted == [["motor.viscous"]] * (severity == "doubt")
 

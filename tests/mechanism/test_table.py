@@ -117,6 +117,7 @@ def sizes(motion, force, metre, second):
         7.0 * angle / second**2,
         9.8 * metre / second**2,
         lean=0.6,
+        position=angle,
         duration=20.0 * second,
     )
 
