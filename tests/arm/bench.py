@@ -121,7 +121,9 @@ def held_out_rms(arm: FittedArm, folder: Path) -> dict[str, tuple[float, float]]
     feedforward, rms = imported(folder / "feedforward.py"), {}
     parts = {name: joint.fitted.model.held_out[0] for name, joint in arm.fitted.items()}
     signals = {name: part.observation for name, part in parts.items()}
-    motion = np.array([[getattr(x, key) for x in signals.values()] for key in ("q", "qd", "qdd")])
+    # along the motion that bodies' torques were computed along: that of a joint's own fit differs
+    rows = [[*arm.bodies.joints].index(name) for name in signals]
+    motion = arm.logs[-1].motion[:, rows]
     torque = np.array([feedforward.torque(*x) for x in np.moveaxis(motion, 2, 0)]).T
     for x, (name, s) in zip(torque, signals.items(), strict=True):
         error = s.measured - s.filter.apply(x[None])[0]
