@@ -104,7 +104,8 @@ def recognised_layout(
         for key, (column, unit) in recognised.chosen.items():
             if key == "time" and not unit and column != OPEN:
                 unit = _time_unit(table.values(column))
-                notes += [note] * ((note := f"time: column {column!r} in {unit}") not in notes)
+                assumed = f"time: column {column!r} in {unit}"
+                notes += [] if assumed in notes else [assumed]
             document[key] = {"column": column, "unit": unit or OPEN}
             document[key] |= dict([recognised.decoding[key]] if key in recognised.decoding else [])
         if "current" in document:

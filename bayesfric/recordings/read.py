@@ -648,7 +648,7 @@ def _law_step(law: Law, position: Array, speed: Array, *, measured: bool) -> str
         share = float(np.mean(law.limited(position, speed)))
         step += f"; at its limit in {100 * share:.2g} % of the samples"
     if law.closed and None in (law.loop, law.velocity_filter):
-        step += "; loop or velocity_filter is not given: up to 1 ms, in viscous loss and inertia"
+        step += "; loop or velocity_filter is not given: some 0.5 ms, in viscous loss and inertia"
     return step + "; what that back-EMF is off by counts as viscous loss" * bool(law.back_emf)
 
 

@@ -18,8 +18,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from bayesfric.base.errors import BadInput
 from bayesfric.fit.model import Model
-from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import parse_config
 from bayesfric.recordings.measurement import Law
