@@ -26,7 +26,7 @@ from bayesfric.recordings.signals import Signals
 
 # Longest integration step, s, and times the fastest motion of the closed loop, 1/s: at .3 the
 # error of a Runge-Kutta step is a thousandth of a percent of it.
-_LONGEST, _STEP = 5e-3, 0.3
+_LONGEST, _STEP = 7e-3, 0.3
 # How far a prediction reaches that is to see nothing faster, s.
 HORIZON = 0.02
 _LOG_2PI = math.log(2.0 * math.pi)

@@ -164,7 +164,8 @@ def _over_sample(
     """
     torque = np.empty(2)
     j = min(i + 1, drive.scale.shape[0] - 1)
-    knot = drive.delay - math.floor(drive.delay)  # where the target changes
+    # where a held target changes; what passes between samples bends there, which a mean allows for
+    knot = drive.delay - math.floor(drive.delay) if drive.held else 0.0
     for part in range(2):
         a, b = (0.0, knot) if part == 0 else (knot, 1.0)
         if b - a < _SHORT:
@@ -186,7 +187,7 @@ def _over_sample(
                 if regime == 0.0:
                     scale = 0.5 * (scale0 + scale1)
                     stiffness, damping = scale * drive.kp, damping + scale * drive.kd
-                    if drive.smoothness != 0.0:  # a line of the curve's mean (Simpson's rule)
+                    if not drive.held:  # a line of the curve's mean (Simpson's rule)
                         c = _command(
                             drive, first, last, i + 0.5 * (now + end) - drive.delay, middle
                         )
