@@ -91,7 +91,11 @@ class Departures:
         alone = any(x.name == name for x in (*self.taken, *self.alternatives))
         doubt = {"kind": "effort-scale", "parameters": of, "factor": factor, "sd": sd}
         doubt["where"] = "" if alone else " at all joints"
-        doubt["cause"] = "the opposite sign" if factor < 0.0 else "another unit, or a gear ratio"
+        doubt["cause"] = "another unit, a gear ratio, or other bodies"
+        if factor < 0.0:
+            doubt["cause"] = "the opposite sign"
+        if abs(factor) < 3.0 * sd:
+            doubt["cause"] = "another axis than in the URDF, or another joint's column"
         doubts = [message.model_dump() for message in summary.doubts]
         return replace(result, summary=put_doubts(summary, [*doubts, doubt]))
 
