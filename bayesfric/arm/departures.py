@@ -129,7 +129,7 @@ def _likelihood(
         torques.append(o.filter.apply(np.vstack([rigid, -weight])))
         losses.append(o.filter.apply(np.stack(columns)))
         measured.append(o.measured)
-        strokes += np.count_nonzero(np.diff(sign[o.filter.centres]))
+        strokes += int(np.count_nonzero(np.diff(sign[o.filter.centres])))
     x, friction = np.concatenate(torques, axis=1).T, np.concatenate(losses, axis=1).T
     y, both = np.concatenate(measured) - x[:, 0], np.hstack([friction, x])
     coefficients = np.linalg.lstsq(both, y, rcond=None)[0]
