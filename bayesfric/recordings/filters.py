@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -349,40 +349,23 @@ def averaged_to(recording: Measurement, rate: float) -> Measurement:
     borders = [(windows.starts >= a) & (windows.starts < b) for a, b in r.segments]
     ends = np.cumsum([0, *(n for inside in borders if (n := int(inside.sum())))]).tolist()
 
-    def mean(values: Array | None, *, held: bool = False) -> Any:
-        if values is None:
-            return None
-        # a command that is held acts later by half a sample of the faster rate
-        return windows.apply(
-            delayed_command(values, r.segments, 0.0, held=held) if held else values
-        )
-
     def partly(flags: Flags) -> Flags:
         return np.asarray(sizes.apply(flags.astype(np.float64)) > SMALL_SHARE)
 
-    time = r.time[windows.centres]
-    signals = {key: Signal(time, mean(x.at(r.time))) for key, x in r.inputs.others.items()}
-    known = {key: getattr(r.inputs, key) for key in ("temperature", "load_torque")}
-    known = {key: x and Signal(time, mean(x.at(r.time))) for key, x in known.items()}
-    law = r.law and replace(
-        r.law,
-        command=mean(r.law.command, held=r.law.held),
-        scale=mean(r.law.scale),
-        off=None if r.law.off is None else partly(r.law.off),
-        held=False,
-    )
+    # a command that is held acts later by half a sample of the faster rate
+    if r.held:
+        r = replace(r, torque=delayed_command(r.torque, r.segments, 0.0, held=True), held=False)
+    if r.law and r.law.held:
+        command = delayed_command(r.law.command, r.segments, 0.0, held=True)
+        r = replace(r, law=replace(r.law, command=command, held=False))
+    time, stamps = r.time[windows.centres], r.time
     return replace(
-        r,
+        r.each(windows.apply, partly),
         time=time,
-        torque=mean(r.torque, held=r.held),
-        **{key: mean(getattr(r, key)) for key in ("position", "velocity", "back_emf", "feedback")},
         segments=tuple(pairwise(ends)),
         period=factor * r.period,
-        excluded=partly(r.excluded),
-        inputs=replace(r.inputs, others=signals, **known),
+        inputs=r.inputs.each(lambda x: Signal(time, windows.apply(x.at(stamps)))),
         steps=(*r.steps, f"time: averaged over {factor} samples, at {rate:.3g} Hz"),
-        held=False,
-        law=law,
     )
 
 

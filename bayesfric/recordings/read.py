@@ -15,19 +15,9 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
-from bayesfric.recordings import checks, filters, units
+from bayesfric.recordings import checks, filters, measurement, units
 from bayesfric.recordings.arrays import Array, Flags, pchip
-from bayesfric.recordings.measurement import (
-    Grid,
-    Inputs,
-    Lag,
-    Law,
-    Measurement,
-    Signal,
-    integral,
-    make_grid,
-    steady_grid,
-)
+from bayesfric.recordings.measurement import Grid, Inputs, Law, Measurement, Signal
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
     SI,
@@ -35,7 +25,6 @@ from bayesfric.recordings.source import (
     Columns,
     Current,
     Effort,
-    Filtered,
     Position,
     Processing,
     Recording,
@@ -58,6 +47,14 @@ _REQUIRED: dict[units.Kind, tuple[str, ...]] = {
     "current": ("torque_constant",),
     "voltage": ("torque_constant", "resistance"),
     "share": ("torque_constant", "resistance", "times"),  # of a supply voltage
+}
+# What a user can do where next to no sample is compared, by what excludes them.
+_EXCLUDING = {
+    "held for long": "the drive answers too slowly for accelerations: for friction alone give "
+    "velocity and torque with steady = true, no time or position",
+    "not valid": "check the column of 'valid'",
+    "in 'exclude'": "exclude less",
+    "as slow as a few steps of the speed": "record faster motions",
 }
 # Channels of a bus, which may fail to be read, or whose sign may be a bit.
 _MEASURED = ("position", "velocity", "torque", "current", "voltage")
@@ -96,19 +93,18 @@ def read_recordings(
     if recording.table is not None:
         name = source.name or f"recording-{number}"
         table = replace(recording.table, where=f"recording {name!r}")
-        measurement = filters.averaged_to(
-            _read(source, table, drive, processing), recording.needed_rate
-        )
-        return [replace(measurement, name=name, sha256=_sha256(source, table))]
+        in_memory = _read(source, table, drive, processing)
+        in_memory = replace(in_memory, name=name, sha256=_sha256(source, table))
+        return [filters.averaged_to(in_memory, recording.needed_rate)]
     assert isinstance(source, Source)
     measurements = []
     for path, name in _named_files(source, recording.folder):
         try:
-            measurement = _read(source, read_table(path, source), drive, processing)
+            recorded = _read(source, read_table(path, source), drive, processing)
         except MemoryError as error:
             hint = "split it, or save fewer columns"
             raise BadInput(str(path), "needs more memory than there is", hint) from error
-        measurements.append(replace(measurement, name=name, path=path, sha256=sha256(path)))
+        measurements.append(replace(recorded, name=name, path=path, sha256=sha256(path)))
     return measurements
 
 
@@ -120,47 +116,37 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     source, table, time = aligned(source, table, drive)
     table, time, stale, pace, warnings = _as_measured(source, table, time)
     table = table.with_ones(len(time))
-    steps, position, velocity = list(table.notes), None, None
-    if source.position is not None:
-        position, step = joint_signal(source.position, "position", table, drive)
-        steps.append(step)
-    if source.velocity is not None:
-        velocity, step = joint_signal(source.velocity, "velocity", table, drive)
-        steps.append(step)
-    moved, signal = (velocity, "velocity") if position is None else (position, "position")
-    assert moved is not None
+    steps, motions = list(table.notes), dict[str, Array]()
+    for key in ("position", "velocity"):
+        if (motion := source.channels.get(key)) is not None:
+            assert isinstance(motion, Position)
+            motions[key], step = joint_signal(motion, key, table, drive)
+            steps.append(step)
+    signal, moved = next(iter(motions.items()))
+    position, velocity = motions.get("position"), motions.get("velocity")
     channel, kind, recorded, torque_step = _recorded_torque(source, table, drive)
 
     # checks
     chosen = slice(*chosen_rows(source, time, table.where))
-    where = table.where
-    grid = (
-        steady_grid(len(time))
-        if source.steady
-        else make_grid(time, (chosen.start, chosen.stop), where)
-    )
+    if source.steady:
+        grid = measurement.steady_grid(len(time))
+    else:
+        grid = measurement.make_grid(time, (chosen.start, chosen.stop), table.where)
+    raw, label = _signed(channel, table)[chosen], table.label(channel.column)
     checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
-        checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
-    warnings += [
-        *table.doubts(source.columns),
-        *grid.warnings,
-        *_count_warnings(source, table, chosen),
-    ]
-    for key, signed in source.channels.items():
-        coded = None
-        if key in _MEASURED and not source.steady:
-            coded = checks.sign_code(_signed(signed, table)[chosen])
-        if coded is not None:
+        checks.check_moves(raw, label, kind)
+    warnings += [*table.doubts(source.columns), *grid.warnings]
+    warnings += _count_warnings(source, table, chosen)
+    for key in _MEASURED if not source.steady else ():
+        signed = source.channels.get(key)
+        if signed and (coded := checks.sign_code(_signed(signed, table)[chosen])):
             hint = f"where its sign is a bit, write {coded[0]} = {coded[1]}"
             raise BadInput(table.label(signed.column), f"{key}: {coded[2]}", hint)
     if not recorded.closed:
-        warnings += checks.clipped(_signed(channel, table)[chosen], kind)
+        warnings += checks.clipped(raw, kind)
         if channel.sign == 1 and position is not None and source.voltage is None:
-            label = table.label(channel.column)
-            warnings += checks.unsigned(
-                table.column(channel.column)[chosen], position[chosen], label
-            )
+            warnings += checks.unsigned(raw, position[chosen], label)
     if (encoder_step := checks.quantisation(moved[chosen])) is not None:
         unit = ("rad" if drive.motion == "rotary" else "m") + "/s" * (position is None)
         steps.append(f"{signal}: read in steps of {encoder_step:.3g} {unit} at the joint")
@@ -170,15 +156,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     speed = None if velocity is None else grid.linear(velocity)
     if position is None:
         assert speed is not None
-        joint = integral(speed, grid.segments, grid.period)
-        steps += (
-            []
-            if source.steady
-            else ["position: none; the velocity integrated, from 0 in every segment"]
-        )
+        joint = measurement.integral(speed, grid.segments, grid.period)
+        if not source.steady:
+            steps.append("position: none; the velocity integrated, from 0 in every segment")
     else:
-        joint = grid.smooth(position)
-    law = recorded.on(grid)
+        joint = grid.bring(position, pchip)
+    law = recorded.each(grid.linear)
     if channel.sampled != "instant":
         # position and speed pass the same averaging as the torque
         length = float(np.median(np.diff(time))) / grid.period
@@ -197,26 +180,29 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         law = replace(law, command=law.command * np.sign(drive.ratio * motor_speed))
         torque_step += ", positive where it drives"
     torque = law.drives(joint, motor_speed)
+    feedback = law.kp * joint + law.kd * motor_speed if law.closed else None
     back_emf = law.back_emf * motor_speed if law.back_emf else None
     if back_emf is not None:
         torque = torque - back_emf
     steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
-    off, excluded = _excluded(source, table, grid, warnings)
-    excluded |= grid.linear(stale.astype(np.float64)) > 0.0
-    if source.steady and speed is not None:
-        # a speed of a few of its steps is none
-        excluded |= np.abs(speed) <= 3.5 * (checks.quantisation(speed) or 0.0)
-    if law.closed and (~excluded).any():
+    excluding = _excluding(source, table, grid, stale, speed, warnings)
+    excluded, lacking = np.any([*excluding.values()], axis=0), ("", "")
+    if excluded.any():
+        counts = {why: int(flags.sum()) for why, flags in excluding.items() if flags.any()}
+        text = ", ".join(f"{count} {why}" for why, count in counts.items())
+        text = f"{int(excluded.sum())} of {len(excluded)} samples are not compared ({text})"
+        steps.append(f"exclude: {text}")
+        lacking = text, _EXCLUDING[max(counts, key=lambda why: counts[why])]
+    if law.closed and not excluded.all():
         fault = checks.target_fault(law.command / law.kp, joint, ~excluded)
         if fault is not None:
-            raise BadInput(table.label(channel.column), *fault)
-    if excluded.any():
-        steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
+            raise BadInput(label, *fault)
     torque_constant = None
     if source.current is not None:
         torque_constant, *_ = _motor("current", source.current, table, drive)
-    played = law if source.target is None else _target_law(source.target, table, drive)[0].on(grid)
+    if source.target is not None:
+        law = _target_law(source.target, table, drive)[0].each(grid.linear)
     return Measurement(
         name="",
         path=None,
@@ -226,7 +212,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         velocity=speed,
         torque=torque,
         back_emf=back_emf,
-        feedback=law.kp * joint + law.kd * motor_speed if law.closed else None,
+        feedback=feedback,
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
@@ -234,11 +220,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         steps=tuple(steps),
         warnings=tuple(warnings),
         held=channel.held,
-        torque_lag=_lag(channel),
-        velocity_lag=_lag(source.velocity),
+        torque_lag=channel.lag if isinstance(channel, Torque | Current) else None,
+        velocity_lag=None if source.velocity is None else source.velocity.lag,
         motion=drive.motion,
         torque_constant=torque_constant,
-        law=replace(played, off=off),
+        law=replace(law, off=excluding.get("not valid")),
+        lacking=lacking,
         integrated=position is None,
         steady=source.steady,
         ratio=drive.ratio,
@@ -476,30 +463,28 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
     )
 
 
-def _lag(channel: Channel | None) -> Lag | None:
-    """Return the low-pass that a channel passed before it was recorded, where one is known."""
-    if not isinstance(channel, Filtered) or channel.lowpass is None:
-        return None
-    return channel.lowpass, channel.lowpass_order
-
-
-def _excluded(
-    source: Columns, table: Table, grid: Grid, warnings: list[str]
-) -> tuple[Flags | None, Flags]:
-    """Flag where the drive is off, if a column gives it, and what is not to be compared."""
-    off = None
-    excluded = np.zeros(len(grid.time), dtype=np.bool_)
+def _excluding(
+    source: Columns,
+    table: Table,
+    grid: Grid,
+    stale: Flags,
+    speed: Array | None,
+    warnings: list[str],
+) -> dict[str, Flags]:
+    """Flag what is not to be compared, by the keys of `_EXCLUDING`."""
+    flags = {"held for long": grid.linear(stale.astype(np.float64)) > 0.0}
     if source.valid is not None:
-        valid = table.column(source.valid) != 0
         # between a valid and an invalid stamp the grid is not valid either
-        off = grid.linear(valid.astype(np.float64)) < 1.0
-        excluded |= off
+        flags["not valid"] = grid.linear((table.column(source.valid) != 0) * 1.0) < 1.0
     for start, stop in source.exclude:
         span = (grid.time >= start) & (grid.time <= stop)
         if not span.any():
             warnings.append(f"exclude: no sample lies in [{start:g}, {stop:g}] s")
-        excluded |= span
-    return off, excluded
+        flags["in 'exclude'"] = flags.get("in 'exclude'", False) | span
+    if source.steady and speed is not None:
+        slowest = 3.5 * (checks.quantisation(speed) or 0.0)
+        flags["as slow as a few steps of the speed"] = np.abs(speed) <= slowest
+    return flags
 
 
 # --- torque of the motor ------------------------------------------------------------------------
@@ -543,14 +528,16 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     motion = drive.motor_motion if target.side == "motor" else drive.motion
     # the column in 'times' is the supply, and multiplies the scale below
     goal, _ = joint_signal(target.model_copy(update={"times": None}), "target", table, drive)
-    (gives, kp), kps = _gains(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
+    gives, *kps = _gain(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
     missing = [key for key in _REQUIRED.get(gives, ()) if getattr(target, key) is None]
     if missing:
         problem = f"is not given, and kp = {target.kp!r} needs it"
         raise BadInput(f"{where}, {missing[0]}", problem, f"add {missing[0]} = ...")
-    kd, kds, limit = 0.0, None, np.inf
+    kds, limit = [0.0, 0.0], np.inf
     if target.kd is not None:
-        (_, kd), kds = _gains(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
+        _, *kds = _gain(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
+    ranges = {"kp": kps, "kd": kds}
+    unknown = {gain: (low, high) for gain, (low, high) in ranges.items() if low < high}
     if target.limit is not None:
         limit = units.scale([target.limit], gives, f"{where}, limit")
     to_side = drive.ratio if target.side == "motor" else 1.0
@@ -559,17 +546,14 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     if gives == "share" and target.times is not None:
         unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
         scale = scale * table.column(target.times) * unit
-    if (kps or kds) and np.ptp(scale):
+    if unknown and np.ptp(scale):
         problem = "is not known, and the supply that it is a share of changes"
         raise BadInput(f"{where}, kp", problem, "give one number for each gain")
-    if kps or kds:  # parameters are gains of a torque
+    if unknown:  # parameters are gains of a torque
         to_side, limit, scale = to_side * scale[0], limit * scale[0], np.ones(goal.shape)
-    kp, kd = kp * to_side, kd * to_side
-    ranges = {"kp": kps, "kd": kds}
-    unknown = {
-        n: (low * to_side, high * to_side) for n, r in ranges.items() if r for low, high in [r]
-    }
-    kd = 0.0 if kds else kd
+    unknown = {gain: (low * to_side, high * to_side) for gain, (low, high) in unknown.items()}
+    kp = to_side * (kps[1] if np.isfinite(kps[1]) else 1.0)
+    kd = 0.0 if "kd" in unknown else to_side * kds[1]
     # no drive holds a mean over the sample
     held = target.held and target.sampled == "instant"
     towards = target.value or f"column '{target.column}'"
@@ -598,36 +582,31 @@ def _motor(
     return constant / resistance, constant**2 * drive.ratio / resistance, formula
 
 
-def _gains(
-    text: str | list[str] | None, per: units.Kind, kinds: Sequence[units.Kind], where: str
-) -> tuple[tuple[units.Kind, float], tuple[float, float] | None]:
-    """Read a gain that is positive, and its range if it is not known; then it is the upper end."""
-    if text is None:
-        return (kinds[0], 1.0), (0.0, np.inf)
-    parts = [text] if isinstance(text, str) else text
-    read = [_gain(part, per, kinds, where) for part in parts]
-    for (_, value), part in zip(read, parts, strict=True):
-        if value < 0.0:
-            raise BadInput(
-                where, f"'{part}' is negative, and drives the joint away", "turn its sign"
-            )
-    if isinstance(text, str):
-        return read[0], None
-    (kind, low), (other, high) = read if len(read) == 2 else ((kinds[0], 0.0), (kinds[0], 0.0))
-    if kind != other or not low < high:
-        raise BadInput(where, f"{list(text)} is no range", "give two gains of one unit that rise")
-    return (kind, high), (low, high)
-
-
 def _gain(
-    text: str, per: units.Kind, kinds: Sequence[units.Kind], where: str
-) -> tuple[units.Kind, float]:
-    """Read a gain per angle or speed, and of which kind it is."""
-    for kind in kinds:
-        with suppress(Unfit):
-            return kind, units.product([text, units.si(per)], [kind])
-    wanted = ", ".join(f"'{units.si(kind) or 1}/({units.si(per)})'" for kind in kinds)
-    raise BadInput(where, f"'{text}' is no gain", f"give it in one of {wanted}")
+    text: str | list[str] | None, per: units.Kind, kinds: Sequence[units.Kind], where: str
+) -> tuple[units.Kind, float, float]:
+    """Read a gain per angle or speed, or a range of it if it is not known, and of which kind it is.
+
+    Returns the kind and both ends, which are the same where the gain is known.
+    """
+    if text is None:
+        return kinds[0], 0.0, np.inf
+    ends = list[tuple[units.Kind, float]]()
+    for part in [text] if isinstance(text, str) else text:
+        for kind in kinds:
+            with suppress(Unfit):
+                ends.append((kind, units.product([part, units.si(per)], [kind])))
+                break
+        else:
+            wanted = ", ".join(f"'{units.si(kind) or 1}/({units.si(per)})'" for kind in kinds)
+            raise BadInput(where, f"'{part}' is no gain", f"give it in one of {wanted}")
+        if ends[-1][1] < 0.0:
+            problem = f"'{part}' is negative, and drives the joint away"
+            raise BadInput(where, problem, "turn its sign")
+    rises = len(ends) == 2 and ends[0][0] == ends[1][0] and ends[0][1] < ends[1][1]
+    if not isinstance(text, str) and not rises:
+        raise BadInput(where, f"{list(text)} is no range", "give two gains of one unit that rise")
+    return *ends[0], ends[-1][1]
 
 
 def _differentiated(position: Array, grid: Grid, processing: Processing) -> Array:

@@ -6,15 +6,15 @@ import csv
 import dataclasses
 import hashlib
 import io
-import itertools
 import re
 import warnings
-import zipfile
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -265,22 +265,14 @@ def _titled(
     if header is not None:
         names = list(rows[header])
     if header is not None and first - header > 1:
-        if len(rows[header + 1]) == width:
-            units = [cell.strip("[]()") for cell in rows[header + 1]]
-            notes.append(f"line {lines[header + 1]} taken as a row of units and skipped")
-        else:
-            notes.append(f"line {lines[header + 1]} has {len(rows[header + 1])} cells, left out")
+        is_units = len(rows[header + 1]) == width
+        units = [cell.strip("[]()") for cell in rows[header + 1]] if is_units else []
+        what = "taken as units" if is_units else "left out"
+        notes.append(f"line {lines[header + 1]} {what}")
     if top:
         notes.append(f"{lines[top] - 1} lines above the table skipped")
-    return Table(
-        str(path),
-        names,
-        load,
-        units=units,
-        lines=lines[first:],
-        header=f"line {lines[top]}",
-        notes=tuple(notes),
-    )
+    used, at = lines[first:], f"line {lines[top]}"
+    return Table(str(path), names, load, units=units, lines=used, header=at, notes=tuple(notes))
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -374,13 +366,12 @@ def _read_trace(path: Path, lines: Sequence[str], options: TableOptions) -> Tabl
             rows = blocks.setdefault(name[1].strip(), [])
         elif line.lstrip().startswith(";") and blocks:
             rows.append([cell.strip() for cell in line.split(";")[1:3]])
-    columns = {name: ("", f"{name}/time") for name in blocks}
-
-    def load(key: str) -> NDArray[Any]:
-        name = key if key in blocks else key.removesuffix("/time")
-        return np.array([row[name == key] for row in blocks[name]], dtype=object)
-
-    return _stamped(path, columns, load, options.table, time_unit="")
+    columns = dict[str, _Column]()
+    for variable, rows in blocks.items():
+        cells = np.array(rows, dtype=object).reshape(-1, 2)
+        columns[f"{variable}/time"] = "", "", cells[:, 0]
+        columns[variable] = "", f"{variable}/time", cells[:, 1]
+    return _stamped(path, columns, options.table)
 
 
 def _read_xlsx(path: Path, options: TableOptions) -> Table:
@@ -512,7 +503,7 @@ def _tables_in(data: Any, path: str = "") -> dict[str, Any]:
 def _begins_with_stamps(rows: list[list[Any]]) -> bool:
     """Whether the first values of rows of several numbers increase."""
     stamps = [row[0] for row in rows if len(row) > 1 and isinstance(row[0], int | float)]
-    return 1 < len(stamps) == len(rows) and all(a < b for a, b in itertools.pairwise(stamps))
+    return 1 < len(stamps) == len(rows) and all(a < b for a, b in pairwise(stamps))
 
 
 def _from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -> Table:
@@ -561,12 +552,12 @@ def _read_npy(path: Path, _: TableOptions) -> Table:
 
 def _read_npz(path: Path, _: TableOptions) -> Table:
     """Read an archive, one column an array, each when asked for; no pickle is opened."""
-    with zipfile.ZipFile(path) as archive:
-        names = [name.removesuffix(".npy") for name in archive.namelist()]
+    with np.load(path, allow_pickle=False) as arrays:
+        names = list(arrays.files)
 
     def load(index: int) -> NDArray[Any]:
         with np.load(path, allow_pickle=False) as arrays:
-            return np.squeeze(np.asarray(arrays[names[index]]))
+            return np.squeeze(arrays[names[index]])
 
     return Table(str(path), names, load)
 
@@ -637,17 +628,13 @@ def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Ta
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
-    columns: dict[str, tuple[str, str]] = {}
+    columns = dict[str, _Column]()
 
     def visit(name: str, item: Any) -> None:
         # MATLAB's internal datasets begin with #
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-            columns[name] = "", ""
+            columns[name] = "", "", partial(load, name)
 
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
-    if not columns:
-        raise BadInput(str(path), "holds no datasets of numbers", "check the export")
     wanted = (options.table or "").replace("." if matlab else "/", "/")
 
     def load(name: str) -> NDArray[Any]:
@@ -668,8 +655,11 @@ def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Ta
             values = np.asarray(dataset[()])
             return np.squeeze(values.T if matlab else values)
 
-    table = _stamped(path, columns, load, wanted, time_unit="")
-    return dataclasses.replace(table, by_rows=False)
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    if not columns:
+        raise BadInput(str(path), "holds no datasets of numbers", "check the export")
+    return _stamped(path, columns, wanted, by_rows=False)
 
 
 def _prefix(path: Path, names: Sequence[str], wanted: str | None) -> str:
@@ -707,57 +697,52 @@ def _read_matlab(path: Path, options: TableOptions) -> Table:
 # --- measurement data files: signals with time stamps of their own ------------------------------
 
 
+# Unit of a column, the name of the column of its time stamps, both may be empty, and its cells, or
+# what reads them.
+_Column = tuple[str, str, Any]
+
+
 def _stamped(
     path: Path,
-    columns: Mapping[str, tuple[str, str]],
-    load: Callable[[str], NDArray[Any]],
+    columns: Mapping[str, _Column],
     wanted: str | None,
     *,
-    time_unit: str = "s",
     notes: tuple[str, ...] = (),
+    by_rows: bool = True,
 ) -> Table:
-    """Make a table of columns in groups, of which ``wanted`` is one.
-
-    Each has a unit and the name of its time stamps, which are columns, too; empty for none.
-    """
-    prefix = _prefix(path, list(columns), wanted)
-    used = {name: column for name, column in columns.items() if name.startswith(prefix)}
-    stamps = dict.fromkeys(clock for _, clock in used.values() if clock)
-    used = {name: column for name, column in used.items() if name not in stamps}
-    names = [*stamps, *used]
+    """Make a table of columns in groups, of which ``wanted`` is one."""
+    stamps = {clock for _, clock, _ in columns.values()}
+    prefix = _prefix(path, [name for name in columns if name not in stamps], wanted)
+    used = {k.removeprefix(prefix): x for k, x in columns.items() if k.startswith(prefix)}
+    cells = [x for _, _, x in used.values()]
     return Table(
         str(path),
-        [name.removeprefix(prefix) for name in names],
-        lambda index: load(names[index]),
-        units=[*(time_unit for _ in stamps), *(unit for unit, _ in used.values())],
-        clocks={x.removeprefix(prefix): c.removeprefix(prefix) for x, (_, c) in used.items() if c},
+        list(used),
+        lambda index: np.asarray(x() if callable(x := cells[index]) else x),
+        units=[unit for unit, _, _ in used.values()],
+        clocks={k: clock.removeprefix(prefix) for k, (_, clock, _) in used.items() if clock},
         notes=notes,
-        by_rows=True,
+        by_rows=by_rows,
     )
 
 
 def _read_mdf(path: Path, options: TableOptions) -> Table:
     """Read an MDF file, one column a channel, named by its group if there are several."""
     mdf = _library(path, "asammdf", "mdf").MDF(path)
-    columns, places = dict[str, tuple[str, str]](), dict[str, tuple[int, int]]()
+    columns = dict[str, _Column]()
     for number, group in enumerate(mdf.groups):
         label = getattr(group.channel_group, "acq_name", "") or f"group {number}"
-        label = f"{label} {number}" if f"{label}/time" in places else label
-        master = mdf.masters_db.get(number)
-        clock = "" if master is None else f"{label}/time"
-        places[f"{label}/time"] = (number, -1)
+        label = f"{label} {number}" if f"{label}/time" in columns else label
+        master, clock = mdf.masters_db.get(number), ""
+        if master is not None:
+            clock = f"{label}/time"
+            columns[clock] = "s", "", partial(mdf.get_master, number)
         for index, channel in enumerate(group.channels):
             if index != master:
                 unit = mdf.get_channel_unit(group=number, index=index) or ""
-                columns[f"{label}/{channel.name}"] = unit, clock
-                places[f"{label}/{channel.name}"] = number, index
-
-    def load(name: str) -> NDArray[Any]:
-        group, index = places[name]
-        values = mdf.get_master(group) if index < 0 else mdf.get(group=group, index=index).samples
-        return np.asarray(values)
-
-    return _stamped(path, columns, load, options.table)
+                load = partial(mdf.get, group=number, index=index)
+                columns[f"{label}/{channel.name}"] = unit, clock, lambda load=load: load().samples
+    return _stamped(path, columns, options.table)
 
 
 def _read_tdms(path: Path, options: TableOptions) -> Table:
@@ -766,45 +751,43 @@ def _read_tdms(path: Path, options: TableOptions) -> Table:
     with tdms.open(path) as file:
         channels = {f"{g.name}/{c.name}": c for g in file.groups() for c in g.channels()}
         about = {name: (dict(c.properties), len(c)) for name, c in channels.items()}
-    waves = dict[tuple[Any, ...], str]()
-    columns, stamps = dict[str, tuple[str, str]](), dict[str, tuple[Any, ...]]()
     keys = ("wf_start_time", "wf_start_offset", "wf_increment")
     starts = [p["wf_start_time"] for p, _ in about.values() if p.get("wf_start_time") is not None]
+
+    def stamps(start: Any, offset: float | None, step: float, count: int) -> NDArray[np.float64]:
+        since = 0.0 if start is None else (start - min(starts)) / np.timedelta64(1, "s")
+        return np.asarray(since + (offset or 0.0) + step * np.arange(count))
+
+    def load(group: str, channel: str) -> NDArray[Any]:
+        with tdms.open(path) as file:
+            return np.asarray(file[group][channel][:])
+
+    columns, waves = dict[str, _Column](), dict[tuple[Any, ...], str]()
     for name, (properties, count) in about.items():
-        clock, group = "", name.rpartition("/")[0]
+        group, _, channel = name.rpartition("/")
+        clock = ""
         if properties.get("wf_increment"):
             wave = (group, *map(properties.get, keys), count)
             named = f"{name if group in (w[0] for w in waves) else group}/time"
             clock = waves.setdefault(wave, named)
-            stamps[clock] = wave[1:]
-        columns[name] = str(properties.get("unit_string", "")), clock
-
-    def load(name: str) -> NDArray[Any]:
-        if name in stamps:
-            start, offset, step, count = stamps[name]
-            since = 0.0 if start is None else (start - min(starts)) / np.timedelta64(1, "s")
-            return np.asarray(since + (offset or 0.0) + step * np.arange(count))
-        group, _, channel = name.rpartition("/")
-        with tdms.open(path) as file:
-            return np.asarray(file[group][channel][:])
-
-    return _stamped(path, columns, load, options.table)
+            columns.setdefault(clock, ("s", "", partial(stamps, *wave[1:])))
+        unit = str(properties.get("unit_string", ""))
+        columns[name] = unit, clock, partial(load, group, channel)
+    return _stamped(path, columns, options.table)
 
 
 def _read_ulog(path: Path, options: TableOptions) -> Table:
     """Read a PX4 log, one column a field of a topic; ``options.table`` is a topic."""
     log = _library(path, "pyulog", "ulog").ULog(str(path))
-    columns, values = dict[str, tuple[str, str]](), dict[str, NDArray[Any]]()
+    columns = dict[str, _Column]()
     for topic in log.data_list:
         label = f"{topic.name}_{topic.multi_id}" if topic.multi_id else topic.name
-        clock = f"{label}/time"
-        values[clock] = topic.data["timestamp"] / 1e6  # in us since boot
-        for field, data in topic.data.items():
-            if field != "timestamp":
-                columns[f"{label}/{field}"], values[f"{label}/{field}"] = ("", clock), data
+        fields, clock = dict(topic.data), f"{label}/time"
+        columns[clock] = "s", "", fields.pop("timestamp") / 1e6  # in us since boot
+        columns |= {f"{label}/{field}": ("", clock, data) for field, data in fields.items()}
     lost = sum(dropout.duration for dropout in log.dropouts)
     notes = (f"{len(log.dropouts)} dropouts of {lost} ms in all",) if lost else ()
-    return _stamped(path, columns, values.__getitem__, options.table, notes=notes)
+    return _stamped(path, columns, options.table, notes=notes)
 
 
 _WPILOG_TYPES = {"double": "<f8", "float": "<f4", "int64": "<i8", "boolean": "?"}
@@ -815,43 +798,37 @@ def _read_wpilog(path: Path, options: TableOptions) -> Table:
 
     Records are in any order, with stamps in us; the last one may be cut off.
     """
-    data = path.read_bytes()
-    if not data.startswith(b"WPILOG"):
+
+    def number(stream: io.BytesIO, size: int) -> int:
+        return int.from_bytes(stream.read(size), "little")
+
+    data = io.BytesIO(path.read_bytes())
+    if not data.read(8).startswith(b"WPILOG"):
         raise BadInput(str(path), "is no WPILib data log", "give the .wpilog of a robot")
-
-    def text(at: int) -> str:
-        size = int.from_bytes(data[at : at + 4], "little")
-        return data[at + 4 : at + 4 + size].decode()
-
+    data.read(number(data, 4))
     entries, records = dict[int, str](), dict[str, tuple[str, list[tuple[int, bytes]]]]()
-    at = 12 + int.from_bytes(data[8:12], "little")
-    while at < len(data):
-        head, parts = data[at], [at + 1]
-        for width in ((head & 3) + 1, (head >> 2 & 3) + 1, (head >> 4 & 7) + 1):
-            parts.append(parts[-1] + width)
-        entry, size, stamp = (
-            int.from_bytes(data[a:b], "little") for a, b in itertools.pairwise(parts)
-        )
-        begin, at = parts[-1], parts[-1] + size
-        if entry == 0 and data[begin] == 0:  # an entry starts: its number, name and type
-            name = text(begin + 5)
-            kind = text(begin + 9 + len(name.encode()))
-            name = entries[int.from_bytes(data[begin + 1 : begin + 5], "little")] = name.lstrip("/")
-            records.setdefault(name, (kind, []))
-        elif entry in entries and at <= len(data):
-            records[entries[entry]][1].append((stamp, data[begin:at]))
-    columns, values = dict[str, tuple[str, str]](), dict[str, NDArray[Any]]()
+    while head := data.read(1):
+        widths = (head[0] & 3) + 1, (head[0] >> 2 & 3) + 1, (head[0] >> 4 & 7) + 1
+        entry, size, stamp = (number(data, width) for width in widths)
+        payload = data.read(size)
+        if entry == 0 and payload[:1] == b"\0":  # an entry starts: its number, name and type
+            start = io.BytesIO(payload[1:])
+            entry, name = number(start, 4), start.read(number(start, 4)).decode().lstrip("/")
+            entries[entry] = name
+            records.setdefault(name, (start.read(number(start, 4)).decode(), []))
+        elif entry in entries and len(payload) == size:
+            records[entries[entry]][1].append((stamp, payload))
+    columns = dict[str, _Column]()
     for name, (kind, rows) in records.items():
-        number = _WPILOG_TYPES.get(kind.removesuffix("[]"))
-        if rows and number:
-            rows.sort(key=lambda row: row[0])
-            columns[name] = "", f"{name}/time"
-            values[f"{name}/time"] = np.array([stamp for stamp, _ in rows]) / 1e6
+        dtype = _WPILOG_TYPES.get(kind.removesuffix("[]"))
+        if rows and dtype:
+            stamps, cells = zip(*sorted(rows, key=lambda row: row[0]), strict=True)
+            columns[f"{name}/time"] = "s", "", np.array(stamps) / 1e6
+            values = np.frombuffer(b"".join(cells), dtype)
             if kind.endswith("[]"):
-                values[name] = _cells([np.frombuffer(cell, number) for _, cell in rows])
-            else:
-                values[name] = np.frombuffer(b"".join(cell for _, cell in rows), number)
-    return _stamped(path, columns, values.__getitem__, options.table)
+                values = _cells([np.frombuffer(cell, dtype) for cell in cells])
+            columns[name] = "", f"{name}/time", values
+    return _stamped(path, columns, options.table)
 
 
 # --- ROS ----------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.base.options import Options, configuration_error
 from bayesfric.recordings import units
+from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.readers import TableOptions
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import Hertz, HertzOrOff, Kilograms, Metres, Seconds
@@ -118,6 +119,11 @@ class Filtered(Channel):
         "recorded; what that took in the band is given back.",
     )
     lowpass_order: Literal[1, 2] = Field(1, description="Order of that filter; 2 is Butterworth.")
+
+    @property
+    def lag(self) -> Lag | None:
+        """Cut-off in Hz and order of that filter, if it is known."""
+        return None if self.lowpass is None else (self.lowpass, self.lowpass_order)
 
 
 class Velocity(Position, Filtered):
