@@ -10,16 +10,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import (
-    Array,
-    Flags,
-    Index,
-    Segments,
-    near,
-    rms,
-    runs,
-    without_excluded,
-)
+from bayesfric.recordings import arrays
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, rms, runs
 from bayesfric.recordings.filters import finest_step, lay_windows
 from bayesfric.recordings.measurement import Measurement
 
@@ -48,12 +40,9 @@ def clipped(values: Array, signal: str, *, least: float = 0.01, run: int = 4) ->
         return []
     if signal == "voltage" and np.unique(values).size < 4:  # switched
         return []
-    part = "all" if share == len(values) else f"{100 * share / len(values):.2g} % of the"
-    return [
-        f"{signal}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for "
-        f"{part} samples; does the drive or sensor saturate there? A drive that "
-        "gives no more is measured right; of a sensor leave those seconds out (exclude)"
-    ]
+    text = f"{signal}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for"
+    text += f" {100 * share / len(values):.2g} % of the samples; where a sensor saturates there"
+    return [f"{text}, exclude those seconds; a drive that gives no more is measured right"]
 
 
 def quantisation(values: Array) -> float | None:
@@ -113,13 +102,10 @@ def failed_reads(values: Array, longest: int | None) -> tuple[Flags, float]:
     number further from all others than these lie from each other.
     """
     at = np.flatnonzero(np.isfinite(values))
-    levels = np.unique(values[at])
-    codes = [0.0]
-    if levels.size > 3:
-        ends = ((levels[0], levels[1:]), (levels[-1], levels[:-1][::-1]))
-        codes += [x for x, rest in ends if abs(x - rest[0]) > np.ptp(rest) and x == np.round(x)]
-    flags = np.zeros(values.size, dtype=np.bool_)
-    for code in codes[::-1]:
+    levels, flags = np.unique(values[at]), np.zeros(values.size, dtype=np.bool_)
+    ends = ((levels[0], levels[1:]), (levels[-1], levels[-2::-1])) if levels.size > 3 else ()
+    codes = [x for x, rest in ends if abs(x - rest[0]) > np.ptp(rest) and x == np.round(x)]
+    for code in (*codes[::-1], 0.0):
         shifted = values[at] - code
         failed = [x for x in runs(shifted == 0.0) if longest is None or x[1] - x[0] <= longest]
         # one row may be a shock
@@ -181,9 +167,8 @@ def unsigned(values: Array, position: Array, where: str) -> list[str]:
     rests = np.mean(values[1:] == 0.0) > 0.2
     if values.min() < 0.0 or turns < 2 or len(folds) < 3 or rests:
         return []
-    power = float(np.mean(values * np.diff(position, append=position[-1])))
-    through = float(np.mean(np.abs(values * np.diff(position, append=position[-1]))))
-    if abs(power) > 0.1 * through:
+    power = values * np.diff(position, append=position[-1])
+    if abs(power.mean()) > 0.1 * np.abs(power).mean():
         return []
     return [f"{where}: never negative: a magnitude; record its sign"]
 
@@ -252,16 +237,13 @@ def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) 
 
 def too_slow(limit: str = "the dead zone") -> str:
     """Say why outputs are left out for their speed."""
-    return (
-        f"at joint speeds below {limit}, as at rest or where it turns round, or filtered together "
-        "with such samples"
-    )
+    return f"at joint speeds below {limit}, or filtered together with such samples"
 
 
 def resting(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
     """Flag samples below the dead zone, ``guard`` or more in a row."""
     flags = np.zeros(len(qd), dtype=np.bool_)
-    for a, b in without_excluded(segments, np.abs(qd) >= dead_zone):
+    for a, b in arrays.without_excluded(segments, np.abs(qd) >= dead_zone):
         flags[a:b] = b - a >= guard
     return flags
 
@@ -363,13 +345,9 @@ def speed_mismatch(
 
 def between(factor: float) -> str:
     """Name the units that a factor lies between; empty for none."""
-    confused = {
-        "deg and rad": 180.0 / np.pi,
-        "rpm and rad/s": 30.0 / np.pi,
-        "turn and rad": 2.0 * np.pi,
-        "rpm and deg/s": 6.0,
-        "thousandths and whole": 1e3,
-    }
+    pi = np.pi
+    confused = {"deg and rad": 180 / pi, "rpm and rad/s": 30 / pi, "turn and rad": 2 * pi}
+    confused |= {"rpm and deg/s": 6.0, "thousandths and whole": 1e3}
     size = max(abs(factor), 1.0 / abs(factor)) if factor else 0.0
     named = (words for words, times in confused.items() if abs(size / times - 1.0) < 0.02)
     return next((f" (the factor between {words})" for words in named), "")

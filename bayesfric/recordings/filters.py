@@ -15,13 +15,11 @@ from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
 from bayesfric.recordings.measurement import Lag, Measurement, Signal
 
-# Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
-# both measurement and model, and the others for more; but a kink of the acceleration also affects
-# the samples next to them, so few should be missing.
+# Largest share of a window's weight on unusable samples, which count for nothing in measurement and
+# model. A kink of the acceleration also affects the samples next to them, so few should be missing.
 SMALL_SHARE, LARGE_SHARE = 0.02, 1 / 3
 # Cut-off of the parallel filter over half the decimated rate at which white noise comes out white
-# (correlations of outputs below 0.003 for any factor). At that half itself neighbours had
-# 0.10, the next -0.07, and intervals from thousands of outputs came out 5 % too narrow.
+# (correlations of outputs below 0.003). At that half itself intervals were 5 % too narrow.
 _WHITE = 1.0983
 # The most that rounding to whole samples makes of it, where 1.5 are rounded to 2 (neighbours then
 # have -0.2); and the least that is not warned of, where they have 0.3.
@@ -39,8 +37,8 @@ Reason = Literal["sampling", "position", "torque", "length", "model", "asked"]
 def check_cutoff(cutoff: float, fs: float, where: str) -> None:
     """Refuse a cut-off in Hz that the sampling cannot carry; ``where`` is the key that set it."""
     if not 1e-6 * fs <= cutoff < fs / 2:
-        problem = f"the cut-off {cutoff:.6g} Hz is not between {1e-6 * fs:.2g} Hz and half the "
-        problem += f"sampling rate ({fs / 2:.6g} Hz)"
+        problem = f"{cutoff:.6g} Hz is not below half the sampling rate ({fs / 2:.6g} Hz)"
+        problem = problem if cutoff >= 1e-6 * fs else f"{cutoff:.6g} Hz is too low"
         raise BadInput(where, problem, "choose another cut-off, or 'off' for no low-pass")
 
 
@@ -160,10 +158,9 @@ def later(values: Array, samples: float, neighbours: int = 4) -> Array:
     Interpolates by the polynomial through ``neighbours`` on either side: with four right within
     1e-4 at a tenth of the sampling rate. A signal is constant beyond its ends.
     """
-    shift = math.floor(-samples)
+    shift, furthest = math.floor(-samples), len(values) + neighbours
     weights = _between(-samples - shift, neighbours)
     # beyond the whole signal there is only its end
-    furthest = len(values) + neighbours
     shift = int(np.clip(shift, -furthest, furthest))
     index = np.arange(shift - neighbours + 1, len(values) + shift + neighbours)
     padded = values[np.clip(index, 0, len(values) - 1)]
@@ -180,13 +177,11 @@ def interpolated(time: Array, values: Array, at: Array) -> Array:
 @lru_cache(maxsize=1024)
 def _between(share: float, neighbours: int) -> Array:
     """Interpolation weights ``(2 neighbours,)`` between two samples."""
-    offsets = np.arange(-neighbours + 1, neighbours + 1)
-    return np.array(
-        [
-            np.prod([(share - m) / (k - m) for m in offsets if m != k]) if share else float(k == 0)
-            for k in offsets.tolist()
-        ]
-    )
+    offsets = np.arange(-neighbours + 1, neighbours + 1).tolist()
+    if not share:
+        return np.array([float(k == 0) for k in offsets])
+    others = ([(share - m) / (k - m) for m in offsets if m != k] for k in offsets)
+    return np.array([np.prod(factors) for factors in others])
 
 
 def delayed_command(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:
@@ -402,9 +397,8 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     spectra = _spectra(recording)
     reason: Reason = "sampling" if band is None else "asked"
     if spectra is None:
-        return Resolution(
-            WIDEST * (recording.pace or fs) if band is None else band, reason, 0.0, math.inf
-        )
+        widest = WIDEST * (recording.pace or fs)
+        return Resolution(widest if band is None else band, reason, 0.0, math.inf)
     frequency, width, motion, unit_noise, _ = spectra
     # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
     quiet = frequency >= 0.3 * fs
@@ -510,11 +504,8 @@ def _spectra(recording: Measurement, least: int = 64) -> _Spectra | None:
     moved, order = recording.velocity, 1
     if moved is None:
         moved, order = recording.position, 2
-    parts = [
-        slice(a, b)
-        for a, b in recording.segments
-        if b - a >= least and not recording.excluded[a:b].all()
-    ]
+    parts = [slice(a, b) for a, b in recording.segments if b - a >= least]
+    parts = [part for part in parts if not recording.excluded[part].all()]
     if not parts:
         return None
     longest = max(p.stop - p.start for p in parts)

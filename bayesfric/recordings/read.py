@@ -115,7 +115,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     # columns
     source, table, time = aligned(source, table, drive)
     table, time, stale, pace, warnings = _as_measured(source, table, time)
-    table = table.with_ones(len(time))
+    # of signals that are known throughout
+    table = table.decoded({"": np.ones(len(time))}, ())
     steps, motions = list(table.notes), dict[str, Array]()
     for key in ("position", "velocity"):
         if (motion := source.channels.get(key)) is not None:

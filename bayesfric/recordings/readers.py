@@ -486,23 +486,21 @@ def _tables_in(data: Any, path: str = "") -> dict[str, Any]:
     """
     if isinstance(data, list):
         values = [v for row in data if isinstance(row, dict) for v in row.values()]
-        if not any(isinstance(v, list) and len(v) > len(data) for v in values):
-            return {}
-        return {f"{path}{number}": item for number, item in enumerate(data)}
-    if not isinstance(data, dict):
-        return {}
-    lists = {key: v for key, v in data.items() if isinstance(v, list) and v}
-    objects = {key: v for key, v in lists.items() if all(isinstance(row, dict) for row in v)}
-    rows = {key: v for key, v in lists.items() if all(isinstance(row, list) for row in v)}
-    if len(rows) == len(lists) and all(map(_begins_with_stamps, rows.values())):
-        return {path + key: value for key, value in rows.items()}
-    inner = {key: _tables_in(v, f"{path}{key}.") or {path + key: v} for key, v in objects.items()}
-    return {key: value for tables in inner.values() for key, value in tables.items()}
+        episodes = any(isinstance(v, list) and len(v) > len(data) for v in values)
+        return {f"{path}{number}": item for number, item in enumerate(data)} if episodes else {}
+    values = data.items() if isinstance(data, dict) else ()
+    lists = {key: v for key, v in values if isinstance(v, list) and v}
+    if all(map(_begins_with_stamps, lists.values())):
+        return {path + key: rows for key, rows in lists.items()}
+    objects = {k: v for k, v in lists.items() if all(isinstance(row, dict) for row in v)}
+    inner = [_tables_in(v, f"{path}{key}.") or {path + key: v} for key, v in objects.items()]
+    return {key: value for tables in inner for key, value in tables.items()}
 
 
-def _begins_with_stamps(rows: list[list[Any]]) -> bool:
+def _begins_with_stamps(rows: list[Any]) -> bool:
     """Whether the first values of rows of several numbers increase."""
-    stamps = [row[0] for row in rows if len(row) > 1 and isinstance(row[0], int | float)]
+    lists = [row for row in rows if isinstance(row, list) and len(row) > 1]
+    stamps = [row[0] for row in lists if isinstance(row[0], int | float)]
     return 1 < len(stamps) == len(rows) and all(a < b for a, b in pairwise(stamps))
 
 
@@ -510,26 +508,21 @@ def _from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) 
     """Make a table of rows, objects or lists of numbers, at some ``lines`` of the file."""
     if not rows:
         raise BadInput(str(path), "holds no rows", "check the recorder's export")
-    if isinstance(rows[0], list):
-        width = len(rows[0])
-        unlike = (k for k, x in enumerate(rows) if not isinstance(x, list) or len(x) != width)
-        if (k := next(unlike, None)) is not None:
-            problem = f"is no list of {width} values, as row 1 is"
-            raise BadInput(f"{path}, row {k + 1}", problem, "cut it out")
-        return Table(str(path), [""] * width, lambda i: _cells([x[i] for x in rows]), by_rows=True)
+    kind = "an object" if isinstance(rows[0], dict) else "a list"
+    width = len(rows[0]) if isinstance(rows[0], list) else 0
     # where only a later row holds an object, its cell is wrong
     if isinstance(rows[0], dict) and any(isinstance(value, dict) for value in rows[0].values()):
         rows = [*map(_flat, rows)]
     names = list(dict.fromkeys(key for row in rows if isinstance(row, dict) for key in row))
 
     def load(index: int) -> NDArray[Any]:
-        return _cells([row.get(names[index]) for row in rows])
+        return _cells([row[index] if width else row.get(names[index]) for row in rows])
 
-    table = Table(str(path), names, load, lines=lines, by_rows=True)
-    wrong = next((k for k, row in enumerate(rows) if not isinstance(row, dict)), None)
-    if wrong is not None:
-        where = f"{path}, {table.row(wrong)}"
-        raise BadInput(where, "is no object", "give an object a row")
+    table = Table(str(path), [""] * width or names, load, lines=lines, by_rows=True)
+    for number, row in enumerate(rows):
+        if not isinstance(row, list if width else dict) or (width and len(row) != width):
+            problem = f"is not {kind}{f' of {width} values' if width else ''} as row 1"
+            raise BadInput(f"{path}, {table.row(number)}", problem, "cut it out")
     return table
 
 
@@ -643,8 +636,7 @@ def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Ta
             kind = dataset.attrs.get("MATLAB_class", b"")
             # MATLAB's text and cells are numbers to HDF5
             if kind in (b"char", b"cell", b"function_handle") or dataset.dtype.kind not in "biuf":
-                text = kind.decode() if isinstance(kind, bytes) and kind else dataset.dtype.name
-                problem = f"holds {text}, not numbers"
+                problem = f"holds {kind.decode() if kind else dataset.dtype.name}, not numbers"
             elif dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
                 return np.empty(0)
             elif dataset.ndim > 2 and sorted(dataset.shape)[-3] > 1:

@@ -472,7 +472,7 @@ def _band_warnings(design: _Design, recording: Measurement) -> Iterator[str]:
     band, half, resolution = design.band, design.fs / (2 * design.factor), design.resolution
     low = filters.SHARING * half if design.factor > 1 else 0.0
     if band is not None and not low <= band <= filters.FOLDING * half * (1.0 + 1e-9):
-        fitting = f"decimate = {filters.decimation(band, design.fs)} fits"
+        fitting = f"decimate = {filters.decimation(band, design.fs)} would fit"
         yield f"band: {band:.6g} Hz does not fit half the decimated rate, {half:.6g} Hz; {fitting}"
     if (ratio := resolution.acceleration_ratio) < filters.LEAST_RATIO:
         text = "position" if recording.velocity is None else "velocity"
@@ -548,7 +548,9 @@ def timed(o: Signals, recording: Measurement, delay: float) -> Signals:
     """Use the torque of ``delay`` seconds earlier, up to the trimmed ends."""
     longest = longest_delay(o, recording.period)
     if abs(delay) > longest:
-        problem = f"the position comes {delay:.3g} s late, and {longest:.3g} s are trimmed off"
+        problem = (
+            f"the position comes {delay:.3g} s late, and {longest:.3g} s are trimmed off the ends"
+        )
         hint = "correct the time stamps, or raise trim"
         raise BadInput(f"recording '{recording.name}', delay", problem, hint)
     corrected = retimed(o, recording.segments, recording.period, delay, recording)

@@ -149,7 +149,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit", *, positive: bo
                 hint = "an angle needs its unit: write 'turn/4096', not '1/4096'"
         raise BadInput(where, str(error), hint) from error
     if positive and not factor > 0:
-        problem = f"{_listed(units)} is {factor:g}, not positive"
+        problem = f"{' times '.join(units)} is {factor:g}, not positive"
         raise BadInput(where, problem, "give a positive value; use sign = -1")
     return factor
 
@@ -171,7 +171,7 @@ def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
         powers.update(unit_powers)
     if any(_of(powers, kind) for kind in kinds):
         return factor
-    got = f"got {_listed(texts)}"
+    got = "got " + " times ".join(map(repr, texts))
     if any(kind in kinds and _of(powers, other) for kind, other in _SLIDING.items()):
         got += '; of a joint that slides say motion = "linear" under [mechanism]'
     raise Unfit(expected, got)
@@ -188,10 +188,6 @@ def _of(powers: Counter[str], kind: Kind) -> bool:
 def si(kind: Kind) -> str:
     """Name the unit that a kind is counted in."""
     return _KINDS[kind][0]
-
-
-def _listed(texts: Sequence[str]) -> str:
-    return " times ".join(f"'{text}'" for text in texts)
 
 
 def _number(plain: Any, *kinds: Kind, off: bool = False) -> BeforeValidator:
