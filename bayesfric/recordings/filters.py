@@ -121,8 +121,7 @@ def reach_of(
 def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:
     """Differentiate signals (..., n) in every segment of at least three samples; else it is 0.
 
-    Of ``reach`` neighbours on either side, see :func:`differentiator`, or of as many as there are;
-    at a segment's ends by the one-sided formula of second order.
+    By :func:`differentiator`, at a segment's ends by fewer neighbours or one-sided.
     """
     result = np.zeros_like(values)
     for a, b in segments:
@@ -155,8 +154,7 @@ def averaged(values: Array, segments: Segments, length: float) -> Array:
 def later(values: Array, samples: float, neighbours: int = 4) -> Array:
     """Delay a signal ``(n,)`` by a possibly fractional or negative number of samples.
 
-    Interpolates by the polynomial through ``neighbours`` on either side: with four right within
-    1e-4 at a tenth of the sampling rate. A signal is constant beyond its ends.
+    By the polynomial through ``neighbours`` on either side, constant beyond the ends.
     """
     shift, furthest = math.floor(-samples), len(values) + neighbours
     weights = _between(-samples - shift, neighbours)
@@ -185,10 +183,7 @@ def _between(share: float, neighbours: int) -> Array:
 
 
 def delayed_command(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:
-    """Delay a command ``(n,)`` by some samples, exact within the band.
-
-    One that is held until the next sample acts half a sample later, averaged over one.
-    """
+    """Delay a command ``(n,)`` by some samples, half a one more where it is held until the next."""
     late = command.copy()
     for a, b in segments:
         late[a:b] = later(command[a:b], samples + 0.5 * held)
@@ -198,11 +193,7 @@ def delayed_command(command: Array, segments: Segments, samples: float, *, held:
 def inverse_lowpass(
     values: Array, segments: Segments, period: float, lag: Lag, reach: int
 ) -> Array:
-    """Undo a causal low-pass on a signal ``(n,)``, within the band that its derivatives show.
-
-    The inverse is ``1 + s/w`` or, of a Butterworth filter of second order, ``1 + sqrt(2) s/w +
-    (s/w)²``.
-    """
+    """Undo a causal low-pass of first or second order on a signal ``(n,)``, within the band."""
     cutoff, order = lag
     rate = derivative(values, segments, period, reach) / (2.0 * np.pi * cutoff)
     if order == 1:
@@ -294,8 +285,7 @@ def parallel_cutoff(factor: int, band: float | None, fs: float) -> float:
 def parallel_taps(factor: int, band: float | None, fs: float) -> Array:
     """Design the weights ``(L,)`` of a parallel filter, L odd; they sum to 1.
 
-    ``factor`` is samples an output. ``band`` is the cut-off in Hz; None for the one near half the
-    decimated rate that keeps noise white, or no filter if nothing is decimated.
+    ``factor`` is samples an output, ``band`` the cut-off in Hz, None for the white one.
     """
     length = parallel_length(factor, band, fs)
     if length == 1:
@@ -313,8 +303,7 @@ def lay_windows(
 ) -> ParallelFilter:
     """Lay windows of weights ``taps`` (L,), one every ``factor`` samples, fully inside segments.
 
-    Samples that are not ``usable`` (N,) count for nothing; windows with more than
-    ``largest_share`` of their weight on them are left out. There may be no window.
+    Those with more than ``largest_share`` of their weight on unusable samples are left out.
     """
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]
@@ -372,12 +361,7 @@ def averaged_to(recording: Measurement, rate: float) -> Measurement:
 
 @dataclass(frozen=True)
 class Resolution:
-    """The band of a recording and its signal-to-noise ratio.
-
-    The band ends by the ``sampling`` rate, the ``position``'s noise, the ``torque``'s power, the
-    ``length`` of the recording, a ``model`` (:mod:`bayesfric.estimates.processing`), or as
-    ``asked``.
-    """
+    """The band of a recording, what ends it, and its signal-to-noise ratio."""
 
     band: float  # Hz up to which measured and modelled torque can be compared
     reason: Reason
@@ -415,10 +399,9 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
 
 
 def finest_step(position: Array, *, smallest: int = 100, uneven: float = 0.1) -> float:
-    """Find the common divisor of all differences of positions, by Euclid's algorithm; 0 for none.
+    """Find the common divisor of the ``smallest`` differences of positions by Euclid's algorithm.
 
-    Of the ``smallest`` ones, within a share of the step: a fine encoder on a fast joint hardly ever
-    shows a single step.
+    Within a share ``uneven`` of the step; 0 for none.
     """
     gaps = np.diff(np.unique(position))
     # rounding of a conversion of units is no encoder step
@@ -438,9 +421,8 @@ def finest_step(position: Array, *, smallest: int = 100, uneven: float = 0.1) ->
 def lowpass_above(band: float, fs: float, times: float = 3.0) -> float:
     """Return the cut-off in Hz of a position's low-pass that hardly attenuates a band.
 
-    A lower one attenuates the model's torque (0.4 % at the band's end at twice the band); with a
-    higher one noise makes the power flow uncertain, and load-dependent friction is off by a third
-    of its sd. At most a fifth of the sampling rate.
+    A lower one attenuates the model's torque (0.4 % at the end of half of it); a higher one makes
+    power flow uncertain, and load-dependent friction is off by a third of its sd.
     """
     return min(times * band, 0.2 * fs)
 
@@ -456,9 +438,8 @@ def _choose(
 ) -> tuple[float, Reason]:
     """Choose the widest band that position, torque and sampling allow.
 
-    ``local`` and ``overall`` are the least signal-to-noise ratios (power) of the acceleration at
-    each frequency, for noise models that weigh the band's end most, and over the band: about the
-    inverse share of an inertia that is lost.
+    ``local`` and ``overall`` are the least signal-to-noise ratios (power) of the acceleration, at
+    each frequency and over the band: about the inverse share of an inertia that is lost.
     """
     fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
     ends: list[tuple[float, Reason]] = [(WIDEST * (recording.pace or fs), "sampling")]

@@ -67,8 +67,7 @@ def divide(
     where = "validation.recordings"
     for name in validation.recordings:
         if name not in names:
-            problem = f"no recording is called {name!r}"
-            raise BadInput(where, problem, nearest(name, names))
+            raise BadInput(where, f"no recording is called {name!r}", nearest(name, names))
     if set(names) == set(validation.recordings):
         raise BadInput(where, "holds out every recording", "leave one to fit")
     parts = list[Part]()

@@ -59,8 +59,8 @@ def make_grid(
 ) -> Grid:
     """Put a uniform grid over the segments without gaps of increasing stamps (n,).
 
-    Only the half-open range ``chosen`` is used. A gap is a step of more than ``gap`` median ones.
-    Steps that jitter by more than 1 % rms are resampled to their median.
+    Only over the range ``chosen``. A gap is a step of more than ``gap`` median ones; steps that
+    jitter by more than 1 % rms are resampled to their median.
     """
     (first, last), warnings = chosen, list[str]()
     count = last - first

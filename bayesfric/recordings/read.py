@@ -81,8 +81,7 @@ def read_recordings(
     """Read all files of a recording, sorted inside a pattern, or its table in memory.
 
     ``ratio`` is motor motion per joint motion (rad/rad, rad/m, ...); ``number`` names a table in
-    memory without a name. The low-pass of ``processing`` is that of the motor's speed where a
-    voltage was measured.
+    memory without a name.
     """
     if not np.isfinite(ratio) or ratio == 0:
         raise BadInput("ratio", f"{ratio} is no gear ratio", "give a finite number other than 0")
@@ -238,10 +237,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
 
 def aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
-    """Bring all columns, decoded, to the rows and time stamps of the motion.
-
-    Returns these stamps, too, in s since the recording's first.
-    """
+    """Bring all columns, decoded, to the rows of the motion; returns their stamps from 0, too."""
     first = source.motion.column
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
@@ -286,9 +282,9 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
             longest = None if key in ("position", "velocity") else 5
             failed, code = checks.failed_reads(values, longest)
             if failed.any():
-                values = np.where(failed, np.nan, values)
-                where = f"failed reads: column {channel.column!r} is {code:.6g} between values "
-                notes.append(f"{where}far from it in {int(failed.sum())} rows, left out")
+                values, count = np.where(failed, np.nan, values), int(failed.sum())
+                note = f"failed reads: column {channel.column!r} is {code:.6g} between values far"
+                notes.append(f"{note} from it in {count} rows, left out")
         if isinstance(channel, Position) and not isinstance(channel, Velocity):
             motion = drive.motor_motion if channel.side == "motor" else drive.motion
             plain = channel.model_copy(update={"times": None})  # of a target it is the supply
@@ -296,11 +292,8 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
             turn = 2.0 * np.pi / factor if motion == "rotary" else None
         if key in ("time", "position", "target") and np.isfinite(values).any():
             values, modulus, jumps = checks.unwrapped(values, turn)
-            wraps[key] = (
-                float(np.nanmedian(values)),
-                modulus,
-                factor * (-1 if channel.sign == -1 else 1),
-            )
+            unit = factor * (-1 if channel.sign == -1 else 1)
+            wraps[key] = float(np.nanmedian(values)), modulus, unit
             if modulus:
                 jump = "a turn" if modulus == turn else f"{modulus:.6g} counts"
                 notes.append(f"{key}: jumps by {jump} at {jumps} places, unwrapped")
@@ -312,10 +305,9 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
     if wraps.keys() >= {"position", "target"} and source.position and source.target:
         # by whole turns near the position, which it was compared with before it was unwrapped
         (goal, modulus, unit), (middle, other, by) = wraps["target"], wraps["position"]
-        size = max(modulus * abs(unit), other * abs(by))
+        size, column = max(modulus * abs(unit), other * abs(by)), source.target.column
         if size and source.target.side == source.position.side:
             turns = np.round((middle * by - goal * unit) / size)
-            column = source.target.column
             decoded[column] = decoded.get(column, table.values(column)) + turns * size / unit
     return source.model_copy(update=update), table.decoded(decoded, notes)
 
@@ -325,8 +317,8 @@ def _as_measured(
 ) -> tuple[Table, Array, Flags, float | None, list[str]]:
     """Leave rows out that repeat motion and torque; interpolate a signal between its own rows.
 
-    Returns also the stamps, flags of rows that last longer than usual, the pace in Hz of the
-    slowest signal, and warnings.
+    Returns also the stamps, flags of rows that last long, the pace in Hz of the slowest signal,
+    and warnings.
     """
     columns = {k: x.column for k, x in source.channels.items() if k in _MEASURED}
     signals = {key: table.values(column) for key, column in columns.items()}
@@ -399,7 +391,7 @@ def recorded_time(source: Columns, table: Table, count: int) -> Array:
         # rows of several signals may take turns
         stride = float(np.median(np.diff(rows))) if count > 1 else 1.0
         if np.any(rows % stride):
-            problem = "the rows that where selects are not evenly spaced, and rate says no more"
+            problem = "the rows that where selects are not evenly spaced"
             raise BadInput(table.where, problem, "give time in place of rate")
         return np.asarray(rows / stride / (source.rate or 1.0))
     column = source.time.column
@@ -415,9 +407,8 @@ def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
     first = 0 if source.start is None else int(np.searchsorted(time, source.start, "left"))
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):
-        end = time[-1] if len(time) else 0.0
-        problem = f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s"
-        raise BadInput(where, problem, "choose an earlier start")
+        problem = f"ends {max(time, default=0.0):.6g} s after its first stamp"
+        raise BadInput(where, f"{problem}, before start = {source.start:g} s", "start earlier")
     return first, last
 
 
@@ -433,35 +424,28 @@ def _count_warnings(
         scaled = isinstance(channel, Torque) and channel.constant
         if not scaled and np.all(values == np.round(values)) and np.unique(values).size > levels:
             counted = "thousandths" if key == "time" else "encoder counts, or thousandths"
-            yield (
-                f"{key}: all numbers are whole, and its unit is {channel.unit}: are they "
-                f"{counted}? Its unit is what a raw 1 is worth"
-            )
+            yield f"{key}: all numbers are whole: are they {counted}, not {channel.unit}?"
 
 
 def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list[str]) -> Inputs:
     """Read what acts on the joint in addition to the motor: mass, temperature, load torque."""
-    temperature = load_torque = None
+    values = dict[str, Array]()
     if (channel := source.temperature) is not None:
         zero = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
         if channel.unit not in zero:
             where = f"{table.label(channel.column)}, unit of temperature"
             raise BadInput(where, f"'{channel.unit}' is no temperature", "write 'degC' or 'K'")
-        degrees = _signed(channel, table) - zero[channel.unit]
-        temperature = Signal(grid.time, grid.linear(degrees))
-        low, high = temperature.values.min(), temperature.values.max()
-        steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
+        degrees = values["temperature"] = _signed(channel, table) - zero[channel.unit]
+        steps.append(f"temperature: {degrees.min():.3g} to {degrees.max():.3g} degC")
     if (channel := source.load_torque) is not None:
-        values = _scaled(channel, table, TORQUE[drive.motion], "load_torque")
-        load_torque = Signal(grid.time, grid.linear(values))
-        steps.append(f"load {TORQUE[drive.motion]}: as measured")
-    return Inputs(
-        source.added_mass,
-        source.radius,
-        temperature=temperature,
-        load_torque=load_torque,
-        others={str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others},
-    )
+        kind = TORQUE[drive.motion]
+        values["load_torque"] = _scaled(channel, table, kind, "load_torque")
+        steps.append(f"load {kind}: as measured")
+    signals = {key: Signal(grid.time, grid.linear(x)) for key, x in values.items()}
+    others = {str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others}
+    load, temperature = signals.get("load_torque"), signals.get("temperature")
+    mass, radius = source.added_mass, source.radius
+    return Inputs(mass, radius, load_torque=load, temperature=temperature, others=others)
 
 
 def _excluding(
@@ -492,10 +476,7 @@ def _excluding(
 
 
 def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effort, str, Law, str]:
-    """Take the torque from its channel, from current or voltage, or from a position target.
-
-    Returns the channel, what was measured, the law on the file's stamps, and the step in words.
-    """
+    """Return the torque's channel, what was measured, its law on the file's stamps, the step."""
     kind = TORQUE[drive.motor_motion]
     if (channel := source.torque) is not None:
         constant = [] if channel.constant is None else [channel.constant]
@@ -504,8 +485,7 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
         if constant:
             step = f"{kind}: the signal in {channel.unit} times {channel.constant}"
             if constant[0].endswith("/V"):
-                step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
-                step += "loss, and the key voltage takes it off"
+                step += "; of the motor's own voltage the key voltage takes off the back-EMF"
         return channel, kind, Law(torque, np.ones(torque.shape), held=channel.held), step
     if (motor := source.current or source.voltage) is not None:
         gives: units.Kind = "current" if isinstance(motor, Current) else "voltage"
@@ -520,11 +500,7 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
 
 
 def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.Kind, str]:
-    """Read the law of a position-controlled drive, what its controller gives, and the step.
-
-    The unit of the gains says what that is: the motor's torque, current, voltage, or the duty of a
-    supply.
-    """
+    """Read the law of a position-controlled drive, what its controller gives, and the step."""
     where, kind = table.label(target.column), TORQUE[drive.motor_motion]
     motion = drive.motor_motion if target.side == "motor" else drive.motion
     # the column in 'times' is the supply, and multiplies the scale below
@@ -578,18 +554,14 @@ def _motor(
         return constant, 0.0, f"current times {channel.torque_constant}"
     assert channel.resistance is not None
     resistance = units.scale([channel.resistance], "resistance", f"{where}, resistance")
-    formula = f"kt V/R - kt^2 (motor speed)/R with kt = {channel.torque_constant}, "
-    formula += f"R = {channel.resistance}"
+    formula = f"kt V/R - kt^2 qd/R with kt = {channel.torque_constant}, R = {channel.resistance}"
     return constant / resistance, constant**2 * drive.ratio / resistance, formula
 
 
 def _gain(
     text: str | list[str] | None, per: units.Kind, kinds: Sequence[units.Kind], where: str
 ) -> tuple[units.Kind, float, float]:
-    """Read a gain per angle or speed, or a range of it if it is not known, and of which kind it is.
-
-    Returns the kind and both ends, which are the same where the gain is known.
-    """
+    """Read a gain per angle or speed: its kind and the ends of its range, alike if it is known."""
     if text is None:
         return kinds[0], 0.0, np.inf
     ends = list[tuple[units.Kind, float]]()

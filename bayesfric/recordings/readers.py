@@ -45,9 +45,7 @@ class TableOptions(Options):
         None, description="File format; by the suffix, or else by the content, if left out."
     )
     delimiter: Literal[",", ";", ":", "|", " ", "\t", "tab", "whitespace"] | None = Field(
-        None,
-        description="Text: the character between columns, or 'tab' or 'whitespace'; detected "
-        "if left out.",
+        None, description="Text: what is between columns; detected if left out."
     )
     decimal: Literal[".", ","] | None = Field(
         None, description="Text: decimal mark; detected if left out."
@@ -55,13 +53,11 @@ class TableOptions(Options):
     skip_rows: int = Field(0, ge=0, description="Text: lines to skip at the beginning of the file.")
     table: str | None = Field(
         None,
-        description="Nested files: dotted path of keys (or structs, or numbers of a list from 0) "
-        "to the rows or columns, path of groups, sheet, or topic of a ROS bag.",
+        description="Nested files: dotted path of keys (or structs, or numbers of a list from 0), "
+        "path of groups, sheet, or topic of a ROS bag.",
     )
     where: dict[str, bool | int | float | str] = Field(
-        default_factory=dict,
-        description="Use only the rows in which columns equal values, such as one episode of "
-        "many: { episode_index = 3 }.",
+        default_factory=dict, description="Only the rows of these values: { episode_index = 3 }."
     )
 
     @model_validator(mode="after")
@@ -72,10 +68,7 @@ class TableOptions(Options):
 
 
 def read_table(path: Path, options: TableOptions) -> Table:
-    """Open a recorded file; its columns are read when asked for.
-
-    The format goes by the suffix, or by the content, unless ``options`` give it.
-    """
+    """Open a recorded file, by its suffix, else by its content; columns are read when asked for."""
     kind = options.format or _folder_kind(path)
     if kind is None or not path.is_dir():
         hint = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag or of LeRobot"
@@ -199,10 +192,8 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
         return _read_trace(path, [text[n - 1] for n in lines], options)
     delimiter, decimal = _marks(head, options)
     rows = [_split(line, delimiter) for line in head]
-    flags = [[is_number(cell, decimal) for cell in row] for row in rows]
-    width = _width(flags)
-    header, first = _find_header(path, lines, rows, flags, width)
-    body = [text[n - 1] for n in lines[first:]]
+    table, first = _titled(path, lines, rows, decimal)
+    body, width = [text[n - 1] for n in lines[first:]], len(table.names)
     if not body:
         problem = "holds a header but no row of numbers"
         raise BadInput(str(path), problem, "check the recorder's export")
@@ -212,9 +203,9 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
             raise BadInput(f"{path}, line {n}", problem, "correct the row, or cut the file there")
     load = _numbers(body, delimiter) if decimal == "." else None
     load = load or _cells_by_pandas(path, body, width, delimiter, decimal)
-    table = _titled(path, load, rows, lines, header, first, width)
     comma = ("numbers have a decimal comma",) if decimal == "," else ()
-    return dataclasses.replace(table, decimal=decimal, notes=(*comma, *table.notes))
+    notes = (*comma, *table.notes)
+    return dataclasses.replace(table, load=load, decimal=decimal, notes=notes)
 
 
 def _numbers(body: Sequence[str], delimiter: str) -> LoadColumn | None:
@@ -251,15 +242,12 @@ def _cells_by_pandas(
 
 
 def _titled(
-    path: Path,
-    load: LoadColumn,
-    rows: Sequence[Sequence[str]],
-    lines: Sequence[int],
-    header: int | None,
-    first: int,
-    width: int,
-) -> Table:
-    """Make a table of cells, whose names and units are in the ``rows`` above it."""
+    path: Path, lines: Sequence[int], rows: Sequence[Sequence[str]], decimal: str = "."
+) -> tuple[Table, int]:
+    """Make a table without cells of the ``rows`` above them; returns the index of the first row."""
+    flags = [[is_number(cell, decimal) for cell in row] for row in rows]
+    width = _width(flags)
+    header, first = _find_header(path, lines, rows, flags, width)
     names, units, notes = [""] * width, list[str](), list[str]()
     top = first if header is None else header
     if header is not None:
@@ -271,8 +259,9 @@ def _titled(
         notes.append(f"line {lines[header + 1]} {what}")
     if top:
         notes.append(f"{lines[top] - 1} lines above the table skipped")
-    used, at = lines[first:], f"line {lines[top]}"
-    return Table(str(path), names, load, units=units, lines=used, header=at, notes=tuple(notes))
+    used, at, load = lines[first:], f"line {lines[top]}", list[NDArray[Any]]().__getitem__
+    table = Table(str(path), names, load, units, lines=used, header=at, notes=tuple(notes))
+    return table, first
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -386,15 +375,9 @@ def _read_xlsx(path: Path, options: TableOptions) -> Table:
     texts = [[str(cell).strip() for cell in row] for row in cells]
     # titles above the table do not fill its columns
     rows = [row[: max((n for n, cell in enumerate(row, 1) if cell), default=0)] for row in texts]
-    flags = [[is_number(cell) for cell in row] for row in rows]
-    lines = range(1, len(frame) + 1)
-    header, first = _find_header(path, lines, rows, flags, _width(flags))
+    table, first = _titled(path, range(1, len(frame) + 1), rows)
     body = frame.iloc[first:].infer_objects()
-
-    def load(index: int) -> NDArray[Any]:
-        return body.iloc[:, index].to_numpy()
-
-    return _titled(path, load, rows, lines, header, first, frame.shape[1])
+    return dataclasses.replace(table, load=lambda index: body.iloc[:, index].to_numpy())
 
 
 def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
@@ -403,6 +386,8 @@ def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
         return wanted or names[0]
     if wanted is not None:
         raise _absent(f"{path}, table '{wanted}'", "no such table", names)
+    if not names:
+        raise BadInput(str(path), "holds no table of numbers", "check what was recorded")
     known = ", ".join(map(repr, names[:20]))
     raise BadInput(str(path), f"holds several tables ({known})", "name one with table")
 
@@ -419,7 +404,7 @@ def _absent(where: str, what: str, known: Sequence[str], otherwise: str = "") ->
 def _read_json(path: Path, options: TableOptions) -> Table:
     """Read a list of objects or of rows of numbers, or an object of lists; one column a key.
 
-    It is at the path ``options.table``, at the top, or the only list of objects in the file.
+    At the path ``options.table``, at the top, or the only one in the file.
     """
     data = _flat(_inside(str(path), parse_json(str(path), _read_text(path)), options.table))
     where = "" if options.table is None else f"{options.table}."
@@ -431,20 +416,15 @@ def _read_json(path: Path, options: TableOptions) -> Table:
     if not isinstance(data, dict) or not any(isinstance(value, list) for value in data.values()):
         problem = "is neither a list of objects nor an object of lists"
         raise BadInput(str(path), problem, "give the dotted path to it with table")
-    values = [value if isinstance(value, list) else None for value in data.values()]
-
-    def load(index: int) -> NDArray[Any]:
-        value = values[index]
-        return np.array(None) if value is None else _cells(value)
-
-    return Table(str(path), list(data), load)
+    cells = [
+        partial(_cells, v) if isinstance(v, list) else partial(np.array, None)
+        for v in data.values()
+    ]
+    return Table(str(path), list(data), lambda index: cells[index]())
 
 
 def _read_json_lines(path: Path, options: TableOptions) -> Table:
-    """Read an object a line, one column a key; blank lines are left out.
-
-    ``options.table`` is the path of keys to the object with the columns, the same in each line.
-    """
+    """Read an object a line, one column a key, at the path ``options.table`` in each."""
     text = enumerate(_read_text(path).split("\n"), start=1)
     places = {n: (f"{path}, line {n}", line) for n, line in text if line.strip()}
     parsed = ((where, parse_json(where, line)) for where, line in places.values())
@@ -481,15 +461,15 @@ def _flat(data: Any) -> Any:
 def _tables_in(data: Any, path: str = "") -> dict[str, Any]:
     """Find the tables by their paths inside an object or a list that is no table itself.
 
-    These are lists of objects, of rows that begin with time stamps, or of episodes: objects of
-    lists that are longer than there are objects, as samples are more than signals.
+    Lists of objects, of rows that begin with time stamps, or of episodes: objects of lists that are
+    longer than there are objects, as samples are more than signals.
     """
     if isinstance(data, list):
         values = [v for row in data if isinstance(row, dict) for v in row.values()]
         episodes = any(isinstance(v, list) and len(v) > len(data) for v in values)
         return {f"{path}{number}": item for number, item in enumerate(data)} if episodes else {}
-    values = data.items() if isinstance(data, dict) else ()
-    lists = {key: v for key, v in values if isinstance(v, list) and v}
+    items = data.items() if isinstance(data, dict) else ()
+    lists = {key: v for key, v in items if isinstance(v, list) and v}
     if all(map(_begins_with_stamps, lists.values())):
         return {path + key: rows for key, rows in lists.items()}
     objects = {k: v for k, v in lists.items() if all(isinstance(row, dict) for row in v)}
@@ -550,16 +530,13 @@ def _read_npz(path: Path, _: TableOptions) -> Table:
 
     def load(index: int) -> NDArray[Any]:
         with np.load(path, allow_pickle=False) as arrays:
-            return np.squeeze(arrays[names[index]])
+            return np.squeeze(np.asarray(arrays[names[index]]))
 
     return Table(str(path), names, load)
 
 
 def _read_parquet(path: Path, _: TableOptions) -> Table:
-    """Read a file, or LeRobot's folder, one column a field, each when asked for.
-
-    Signals of a LeRobot feature are also columns by their names: ``observation.state.knee.pos``.
-    """
+    """Read a file, or LeRobot's folder, one column a field, and a signal of a named feature."""
     pa, pq = (_library(path, name, "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     files = _parquet_files(path)[1:] if path.is_dir() else [path]
     if not files:
@@ -614,10 +591,7 @@ def _lerobot_names(path: Path) -> dict[str, list[str]]:
 
 
 def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Table:
-    """Read a file, one column a dataset, named by its path below the group that is the table.
-
-    Without ``options.table``, its path, the only group with datasets, else the whole file.
-    """
+    """Read a file, one column a dataset, named by its path below the group ``options.table``."""
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
@@ -754,12 +728,12 @@ def _read_tdms(path: Path, options: TableOptions) -> Table:
         with tdms.open(path) as file:
             return np.asarray(file[group][channel][:])
 
-    columns, waves = dict[str, _Column](), dict[tuple[Any, ...], str]()
+    columns, waves = dict[str, _Column](), dict[Any, str]()
     for name, (properties, count) in about.items():
         group, _, channel = name.rpartition("/")
         clock = ""
         if properties.get("wf_increment"):
-            wave = (group, *map(properties.get, keys), count)
+            wave: Any = (group, *map(properties.get, keys), count)
             named = f"{name if group in (w[0] for w in waves) else group}/time"
             clock = waves.setdefault(wave, named)
             columns.setdefault(clock, ("s", "", partial(stamps, *wave[1:])))
@@ -786,10 +760,7 @@ _WPILOG_TYPES = {"double": "<f8", "float": "<f4", "int64": "<i8", "boolean": "?"
 
 
 def _read_wpilog(path: Path, options: TableOptions) -> Table:
-    """Read WPILib's data log, version 1.0, one column an entry of numbers.
-
-    Records are in any order, with stamps in us; the last one may be cut off.
-    """
+    """Read WPILib's data log, version 1.0: entries of numbers in any order, with stamps in us."""
 
     def number(stream: io.BytesIO, size: int) -> int:
         return int.from_bytes(stream.read(size), "little")
@@ -825,62 +796,57 @@ def _read_wpilog(path: Path, options: TableOptions) -> Table:
 
 # --- ROS ----------------------------------------------------------------------------------------
 
-_STAMP, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
+_TIMES: dict[str, Any] = {
+    "builtin_interfaces/msg/Time": np.datetime64,
+    "builtin_interfaces/msg/Duration": np.timedelta64,
+}
 # Units by message definition, by the beginning of a column's name.
 _UNITS = {
     # an effort is in N m, or in A, as its driver has it
     "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s"},
     "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
 }
-# Message types without measurements.
-_NOT_MEASURED = (
-    "rcl_interfaces/", "rosbag2_interfaces/", "rosgraph_msgs/", "diagnostic_msgs/", "tf2_msgs/",
-    "std_msgs/msg/String",
-)  # fmt: skip
+# Packages of messages, and messages, without measurements.
+_NOT_MEASURED: tuple[str, ...] = (
+    "rcl_interfaces",
+    "rosbag2_interfaces",
+    "rosgraph_msgs",
+    "diagnostic_msgs",
+    "tf2_msgs",
+)
+_NOT_MEASURED += ("std_msgs/msg/String",)
 
 
 def _read_bag(path: Path, options: TableOptions) -> Table:
-    """Read one topic, a row a message; ``options.table`` is the topic, if there are several.
+    """Read one topic, ``options.table``, a row a message, with the time that it was ``received``.
 
     Columns are fields by path, as ``wrench.torque.z`` and ``data[3]``, and joints' signals by name,
-    as ``effort[knee]``. ``received`` and stamps are in s since the first message.
+    as ``effort[knee]``.
     """
     bags, types = (_library(path, f"rosbags.{name}", "ros") for name in ("highlevel", "typesys"))
     # bags of sqlite3 before ROS 2 Iron hold no definitions
     latest = types.get_typestore(types.Stores.LATEST)
     with bags.AnyReader([path], default_typestore=latest) as reader:
         topic, kind, connections = _topic(path, reader, options.table)
-        received, rows = list[int](), list[dict[str, Any]]()
+        rows = list[dict[str, Any]]()
         for connection, stamp, raw in reader.messages(connections=connections):
-            received.append(int(stamp))
-            rows.append(_fields(reader.deserialize(raw, connection.msgtype)))
+            row = {"received": np.datetime64(stamp, "ns")}
+            rows.append(row | _fields(reader.deserialize(raw, connection.msgtype)))
     # of the first message that has each: joints may take turns
     first = {name: value for row in reversed(rows) for name, value in row.items()}
     names = list(dict.fromkeys(name for row in rows for name in row))
     by_name = _UNITS.get(kind, {}).items()
     units = [next((unit for begin, unit in by_name if x.startswith(begin)), "") for x in names]
-    units = ["s" if _is_time(first[x]) else unit for x, unit in zip(names, units, strict=True)]
+    times = (np.datetime64, np.timedelta64)
+    units = ["s" if isinstance(first[x], times) else u for x, u in zip(names, units, strict=True)]
 
     def load(index: int) -> NDArray[Any]:
-        if index == 0:
-            return _since_first(received)
-        name = names[index - 1]
-        values: list[Any] = [row.get(name) for row in rows]
-        if not _is_time(first[name]):
-            return _cells(values)
-        stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]
-        if first[name].__msgtype__ == _STAMP:
-            return _since_first(stamps)
-        return np.array([stamp / 10**9 for stamp in stamps])
+        values = [row.get(names[index]) for row in rows]
+        time = isinstance(first[names[index]], times)
+        return np.array(values, first[names[index]].dtype) if time else _cells(values)
 
-    return Table(
-        f"{path}, table '{topic}'",
-        ["received", *names],
-        load,
-        units=["s", *units],
-        notes=(f"topic {topic} ({kind}), {len(rows)} messages",),
-        by_rows=True,
-    )
+    where, notes = f"{path}, table '{topic}'", (f"topic {topic} ({kind}), {len(rows)} messages",)
+    return Table(where, names, load, units=units, notes=notes, by_rows=True)
 
 
 def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Sequence[Any]]:
@@ -888,20 +854,12 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
     topics = {name: topic for name, topic in reader.topics.items() if topic.msgcount}
     types = {name: topic.msgtype or "several types" for name, topic in topics.items()}
     useful = [name for name, kind in types.items() if not kind.startswith(_NOT_MEASURED)]
-    if wanted is None and len(useful) == 1:
-        wanted = useful[0]
-    where = str(path) if wanted is None else f"{path}, table '{wanted}'"
-    if wanted is None or wanted not in topics:
-        known = ", ".join(f"'{name}'" for name in (useful or list(topics))[:20])
-        problem = "there is no message on this topic" if wanted else "holds no one topic of numbers"
-        hint = f"name one of {known} with table" if known else "check what was recorded"
-        raise BadInput(where, problem, hint)
-    kind = types[wanted]
-    if kind not in reader.typestore.fielddefs:
+    name = _one_of(path, list(topics) if wanted or not useful else useful, wanted)
+    if (kind := types[name]) not in reader.typestore.fielddefs:
         problem = f"holds messages of {kind}, of which there is no one definition"
         hint = "record one type a topic, as MCAP, which holds definitions, or 'ros2 bag convert' it"
-        raise BadInput(where, problem, hint)
-    return wanted, kind, topics[wanted].connections
+        raise BadInput(f"{path}, table '{name}'", problem, hint)
+    return name, kind, topics[name].connections
 
 
 def _fields(message: Any) -> dict[str, Any]:
@@ -915,7 +873,9 @@ def _fields(message: Any) -> dict[str, Any]:
         if isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
             for k, part in enumerate(value):
                 walk(part, f"{name}[{k}]")
-        elif hasattr(value, "__msgtype__") and not _is_time(value):
+        elif (kind := getattr(value, "__msgtype__", None)) in _TIMES:
+            values[name] = _TIMES[kind](int(value.sec) * 10**9 + int(value.nanosec), "ns")
+        elif kind:
             for field in dataclasses.fields(value):
                 if not field.name.startswith("_"):
                     inner = f"{name}.{field.name}" if name else field.name
@@ -928,15 +888,6 @@ def _fields(message: Any) -> dict[str, Any]:
 
     walk(message, "")
     return values
-
-
-def _is_time(value: Any) -> bool:
-    return getattr(value, "__msgtype__", None) in (_STAMP, _DURATION)
-
-
-def _since_first(stamps: list[int]) -> NDArray[np.float64]:
-    """Convert stamps in ns to seconds since the first, without loss."""
-    return np.array([(stamp - stamps[0]) / 10**9 for stamp in stamps])
 
 
 # Reader, suffixes and first bytes of each format.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import implausible
@@ -186,10 +186,7 @@ Signals = list[tuple[str, Array, "Named"]]
 
 
 def _clocks(signals: Signals) -> Signals:
-    """Sort the columns named as time, those first that increase; none that stands still.
-
-    Nor one that goes back and is known by its unit only, as a latency in ms.
-    """
+    """Sort the columns of time, increasing ones first; none that stands still, or is a latency."""
     faults = list[tuple[int, bool, int]]()
     for k, (column, values, _) in enumerate(signals):
         if not _is_constant(values):
@@ -226,10 +223,7 @@ def _is_constant(values: Array) -> bool:
 
 
 def with_clocks(table: Table) -> Table:
-    """Pair columns with the time stamps that share their group, word or number, if several differ.
-
-    Recognised columns that cannot be paired so are ``unpaired``.
-    """
+    """Pair columns with the stamps that share their group, word or number, if stamps differ."""
     table = _with_sums(table)
     marks = list(table.units or [""] * len(table.names))
     times, dates = dict[str, Array](), dict[str, np.datetime64]()
@@ -469,7 +463,7 @@ def _unit_of(channel: str, text: str) -> str:
     short = text if text.startswith("M") else text.lower()
     for spelt in dict.fromkeys((_SPELT.get(short, text), text)):
         is_unit = any(map(str.isalpha, spelt)) or "°" in spelt
-        for kind in _KINDS[channel] if is_unit else ():
-            if units.is_of(spelt, kind):
-                return spelt if units.scale([spelt], kind) <= 1e3 else ""
+        with suppress(Unfit):
+            if is_unit:
+                return spelt if abs(units.quantity(spelt, *_KINDS[channel])) <= 1e3 else ""
     return ""

@@ -9,17 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.arrays import (
-    Array,
-    Flags,
-    Index,
-    Segments,
-    in_segments,
-    near,
-    runs,
-    without_excluded,
-)
+from bayesfric.recordings import arrays, checks, filters, units
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, runs
 from bayesfric.recordings.measurement import Inputs, Measurement, Signal
 from bayesfric.recordings.source import Processing
 
@@ -33,8 +24,7 @@ Settings = dict[str, float | int | str]
 class Signals:
     """Filtered signals that a model is compared with, and what it needs to predict them.
 
-    Inside a segment outputs may be missing (dead zone, excluded spans); neighbours are those whose
-    ``filter.starts`` differ by ``decimate``.
+    Outputs may be missing; neighbours are those whose ``filter.starts`` differ by ``decimate``.
     """
 
     name: str  # of the recording
@@ -103,18 +93,15 @@ class Signals:
 def observe(
     recording: Measurement, processing: Processing, resolution: filters.Resolution | None = None
 ) -> Signals:
-    """Filter, differentiate and decimate a recording.
+    """Filter, differentiate and decimate a recording; defaults come from its ``resolution``.
 
-    Defaults come from the recording and its ``resolution``. A cut-off that the sampling rate cannot
-    carry, and settings that leave no output, are bad input.
+    Settings that the sampling rate cannot carry, or that leave no output, are bad input.
     """
     if recording.steady:
-        processing = Processing(
-            lowpass=0.0, decimate=1, trim=0.0, dead_zone=processing.dead_zone or 0.0
-        )
-    design, (q, qd, compared, still, windows, settings) = _prepare(
-        recording, processing, resolution
-    )
+        slow = processing.dead_zone or 0.0
+        processing = Processing(lowpass=0.0, decimate=1, trim=0.0, dead_zone=slow)
+    design, prepared = _prepare(recording, processing, resolution)
+    q, qd, compared, still, windows, settings = prepared
     if windows.n_outputs == 0:
         problem = "the joint is never faster than the dead zone for a whole window"
         hint = "lower dead_zone (0 for none), or decimate less"
@@ -132,7 +119,7 @@ def observe(
             settings["velocity_factor"] = factor
     if recording.steady:
         settings |= {"steady": True, "sampling_rate": 0.0}
-    borders = [a for a, _ in segments]
+    borders, time, excluded = [a for a, _ in segments], recording.time, runs(recording.excluded)
     torque = applied_torque(recording, design.reach)
     filtered_torque = as_position(torque, segments, period, settings)
     inputs, standstill = _filtered_inputs(recording, settings), None
@@ -151,22 +138,19 @@ def observe(
         torque=torque,
         compared=torque,
         filter=windows,
-        time=recording.time[windows.centres],
+        time=time[windows.centres],
         measured=windows.apply(filtered_torque),
         speed=qd[windows.centres],
         period=design.factor * period,
         segment_of=np.searchsorted(borders, windows.starts, "right").astype(np.int64) - 1,
-        stamps=recording.time,
+        stamps=time,
         inputs=inputs,
         steps=(*recording.steps, *_step_sentences(design, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
         position_step=0.0 if recording.integrated else filters.finest_step(recording.position),
         rest=standstill,
-        left_out=tuple(
-            (float(recording.time[a]), float(recording.time[b - 1]))
-            for a, b in runs(recording.excluded)
-        ),
+        left_out=tuple((float(time[a]), float(time[b - 1])) for a, b in excluded),
     )
 
 
@@ -206,7 +190,7 @@ class _Design:
     factor: int  # samples an output
     band: float | None  # Hz, as given
     trim_samples: int
-    reach: int  # neighbours on either side of a filters.derivative
+    reach: int  # neighbours on either side of a derivative
     guard: int  # samples left out next to a standstill
     resolution: filters.Resolution
 
@@ -290,11 +274,8 @@ def _lower_lowpass(recording: Measurement, processing: Processing, design: _Desi
     """Lower the low-pass until the acceleration behind it is more than its noise."""
     band = design.used_band or design.fs / 2
     # higher above the band, so that the effect of samples left out reaches fewer neighbours
-    cutoff = filters.lowpass_above(band, design.fs, 6.0)
-    while (
-        cutoff > 2.0 * band
-        and filters.resolve(recording, cutoff).acceleration_ratio < filters.LEAST_RATIO
-    ):
+    cutoff, least = filters.lowpass_above(band, design.fs, 6.0), filters.LEAST_RATIO
+    while cutoff > 2.0 * band and filters.resolve(recording, cutoff).acceleration_ratio < least:
         cutoff = max(cutoff / 1.5, 2.0 * band)
     lower = processing.model_copy(update={"lowpass": cutoff, "decimate": design.factor})
     return replace(choose_filters(recording, lower), resolution=design.resolution)
@@ -303,12 +284,12 @@ def _lower_lowpass(recording: Measurement, processing: Processing, design: _Desi
 def _filter_and_lay_windows(
     recording: Measurement, processing: Processing, design: _Design, share: float
 ) -> _Prepared:
-    """Filter the motion and lay the windows; ``share`` as in `filters.lay_windows`."""
+    """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
     segments, trim = recording.segments, design.trim_samples
     q, qd = filtered_motion(recording, design.cutoff, processing.order, design.reach)
     # nothing may be left of a segment
     trimmed = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
-    inside, dead_zone = in_segments(trimmed, len(q)), processing.dead_zone
+    inside, dead_zone = arrays.in_segments(trimmed, len(q)), processing.dead_zone
     if isinstance(dead_zone, str):
         dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
     elif dead_zone is None:
@@ -322,7 +303,7 @@ def _filter_and_lay_windows(
         # the low-pass smears the jolt of a reversal over a period on either side
         moving &= ~near(~moving, round(design.fs / design.cutoff))
     # the low-pass smears excluded samples past their borders, as past a segment's ends
-    parts = without_excluded(trimmed, near(recording.excluded, trim))
+    parts = arrays.without_excluded(trimmed, near(recording.excluded, trim))
     where = f"recording '{recording.name}'"
     length = filters.parallel_length(design.factor, design.band, design.fs)
     # before the weights are made: there may be more of them than memory
@@ -379,18 +360,14 @@ def _filter_and_lay_windows(
     if recording.torque_constant is not None:
         settings["torque_constant"] = recording.torque_constant
     compared = inside & moving & ~recording.excluded
-    return q, qd, compared, still & in_segments(parts, len(q)), windows, settings
+    return q, qd, compared, still & arrays.in_segments(parts, len(q)), windows, settings
 
 
 # --- torque and motion ----------------------------------------------------------------------------
 
 
 def applied_torque(recording: Measurement, reach: int) -> Array:
-    """Return the torque ``(n,)`` that moves the joint at the samples, within the band.
-
-    A maker's low-pass is undone by derivatives of ``reach`` neighbours. A command held until the
-    next sample acts half a sample later, averaged over one.
-    """
+    """Return the torque ``(n,)`` that moves the joint, a maker's low-pass and a hold undone."""
     torque, segments = recording.torque, recording.segments
     if recording.feedback is not None:
         return target_torque(recording)
@@ -402,10 +379,7 @@ def applied_torque(recording: Measurement, reach: int) -> Array:
 
 
 def target_torque(recording: Measurement, delay: float = 0.0) -> Array:
-    """Compute the torque ``(n,)`` of a drive whose target acts ``delay`` s late.
-
-    Position and speed, and so the error and its limit, are the present ones.
-    """
+    """Compute the torque ``(n,)`` of a drive whose target alone acts ``delay`` s late."""
     law, back_emf = recording.law, recording.back_emf
     assert law is not None
     command = unlimited_command(recording, delay)
@@ -443,11 +417,7 @@ def as_position(torque: Array, segments: Segments, period: float, settings: Sett
 
 
 def refinable(o: Signals) -> bool:
-    """Whether the band ends well below the position's low-pass, so that a model may refine it.
-
-    See :mod:`bayesfric.estimates.processing`. Not with central differences, as in published
-    analyses.
-    """
+    """Whether the band ends well below the position's low-pass, so that a model may refine it."""
     band, cutoff = float(o.settings["band"]), float(o.settings["lowpass"])
     return o.settings["differentiation"] == "exact" and 0.0 < 2.0 * band <= cutoff
 
@@ -495,9 +465,7 @@ def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str
 def _step_sentences(design: _Design, recording: Measurement, settings: Settings) -> Iterator[str]:
     resolution, trim = design.resolution, design.trim_samples
     both = "both position and torque" if settings["torque_lowpass"] else "the position"
-    how = (
-        f"zero-phase Butterworth of order {settings['order']} at {design.cutoff:.4g} Hz, of {both}"
-    )
+    how = f"zero-phase, of order {settings['order']} at {design.cutoff:.4g} Hz, of {both}"
     yield f"low-pass: {how if design.cutoff else 'none'} ({design.fs:.4g} Hz sampling)"
     end = design.used_band or design.cutoff or 0.25 * design.fs
     for signal, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
@@ -517,7 +485,7 @@ def _step_sentences(design: _Design, recording: Measurement, settings: Settings)
         yield f"{text} {resolution.noise:.2g} {unit}"
     ended = {
         "sampling": "as wide as the sampling rate of the slowest signal allows",
-        "position": "beyond which the position does not filters.resolve the acceleration",
+        "position": "beyond which the position does not resolve the acceleration",
         "torque": "beyond which the torque has next to no power",
         "length": "the narrowest that leaves enough outputs of so short a recording",
         "model": "beyond which noise that grows with the motion takes from the inertia",

@@ -398,7 +398,6 @@ class Processing(Options):
 # --- recordings in Python ------------------------------------------------------------------------
 
 _Keys = TypeVar("_Keys", bound=Columns)
-Column = str | int | Mapping[str, Any]
 Side = Literal["motor", "joint"]
 
 
@@ -462,9 +461,6 @@ class Recording:
         cls,
         frame: pd.DataFrame,
         *,
-        position: Column | None = None,
-        time: Column | None = None,
-        torque: Column | None = None,
         units: Mapping[str, str] | None = None,
         side: Side | None = None,
         **keys: Any,
@@ -475,18 +471,13 @@ class Recording:
         ----------
         frame
             One row a sample.
-        position, time, torque
-            Name of a column, or its number from 1, or a table of keys as in a configuration:
-            ``{"column": "q", "unit": "turn/4096", "sign": -1}``. Without time give ``rate``, and
-            without torque ``current`` or ``voltage``, or ``{"value": 0}``. Without position
-            give ``velocity``.
         units, side
             As in :meth:`from_arrays`.
         **keys
-            ``velocity``, ``current``, ``voltage``, ``target`` and ``valid``, columns as well; and
-            what else there is to say.
+            ``time`` or ``rate``, ``position``, ``velocity``, ``torque``, ``current`` and so on:
+            name of a column, or its number from 1, or a table of keys as in a configuration:
+            ``{"column": "q", "unit": "turn/4096", "sign": -1}``; and what else there is to say.
         """
-        keys |= {"position": position, "time": time, "torque": torque}
         names = [str(name) for name in frame.columns]
         columns = [frame.iloc[:, i].to_numpy(copy=True) for i in range(len(names))]
         table = Table("recording", names, columns.__getitem__)
@@ -497,9 +488,6 @@ class Recording:
         cls,
         path: str | Path,
         *,
-        position: Column | None = None,
-        time: Column | None = None,
-        torque: Column | None = None,
         units: Mapping[str, str] | None = None,
         side: Side | None = None,
         **keys: Any,
@@ -512,18 +500,14 @@ class Recording:
         ----------
         path
             A file; ``*``, ``?`` and ``**`` are wildcards.
-        position, time, torque, units, side, **keys
+        units, side, **keys
             As in :meth:`from_dataframe`, and ``format``, ``delimiter``, ``decimal``,
             ``skip_rows``, ``table`` and ``where``.
         """
-        keys |= {"file": str(path), "position": position, "time": time, "torque": torque}
-        return cls(_checked(Source, keys, units, side))
+        return cls(_checked(Source, keys | {"file": str(path)}, units, side))
 
     def saved(self, path: Path) -> Recording:
-        """Write the columns used of a table in memory as CSV, and return that file's recording.
-
-        Reading it gives the same measurement to the last bit.
-        """
+        """Write the columns used of a table in memory as CSV, and return that file's recording."""
         import pandas as pd
 
         if self.table is None:

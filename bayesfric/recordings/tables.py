@@ -257,10 +257,9 @@ class Table:
     ) -> tuple[Table, Index]:
         """Bring columns to the rows in which all have a value; returns these rows, too.
 
-        Rows are those of the column ``first``, at ``stamps`` (n,) of the column ``clock``. A column
-        with other time stamps, or empty in more than a share ``max_share`` of the rows, is
-        interpolated by time, across no more than ``gap`` of its median steps, of a ``flag`` by
-        the last value before.
+        Rows are those of ``first``, at ``stamps`` (n,) of ``clock``. A column with other stamps, or
+        empty in more than ``max_share`` of the rows, is interpolated by time, across up to ``gap``
+        median steps, a ``flag`` by the last value before.
         """
         used = ~self.holes(first)
         if not used.any():

@@ -125,21 +125,8 @@ def quantity(text: str, *kinds: Kind) -> float:
     return product([text], kinds)
 
 
-def is_of(text: str, kind: Kind) -> bool:
-    """Whether a unit is of a kind; not where it is left open, or no unit."""
-    try:
-        quantity(text, kind)
-    except Unfit:
-        return False
-    return True
-
-
 def scale(units: Sequence[str], kind: Kind, where: str = "unit", *, positive: bool = True) -> float:
-    """Return the SI value of one count of a channel, or of a constant.
-
-    ``units`` are its unit and whatever multiplies it: ``["V", "35.15 N/V"]``. What is of
-    another kind is bad input at ``where``.
-    """
+    """Return the SI value of a channel's unit, or of a constant, times whatever multiplies it."""
     try:
         factor = product(units, [kind])
     except Unfit as error:
