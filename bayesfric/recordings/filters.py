@@ -385,10 +385,10 @@ def averaged_to(recording: Measurement, rate: float) -> Measurement:
     known = {key: x and Signal(time, mean(x.at(r.time))) for key, x in known.items()}
     law = r.law and replace(
         r.law,
-        command=mean(r.law.command, held=r.law.held),
+        command=mean(r.law.command, held=bool(r.law.held)),
         scale=mean(r.law.scale),
         off=None if r.law.off is None else partly(r.law.off),
-        held=False,
+        held=None if r.law.held is None else False,
     )
     return replace(
         r,

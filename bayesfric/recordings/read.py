@@ -233,7 +233,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         inputs=inputs,
         steps=tuple(steps),
         warnings=tuple(warnings),
-        held=channel.held,
+        held=bool(channel.held),
         torque_lag=_lag(channel),
         velocity_lag=_lag(source.velocity),
         motion=drive.motion,
@@ -520,13 +520,13 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
             if constant[0].endswith("/V"):
                 step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
                 step += "loss, and the key voltage takes it off"
-        return channel, kind, Law(torque, np.ones(torque.shape), held=channel.held), step
+        return channel, kind, Law(torque, np.ones(torque.shape), held=bool(channel.held)), step
     if (motor := source.current or source.voltage) is not None:
         gives: units.Kind = "current" if isinstance(motor, Current) else "voltage"
         command = _scaled(motor, table, gives, gives)
         factor, back_emf, formula = _motor(gives, motor, table, drive)
         scale = np.full(command.shape, factor)
-        law = Law(command, scale, back_emf=back_emf, held=motor.held)
+        law = Law(command, scale, back_emf=back_emf, held=bool(motor.held))
         return motor, gives, law, f"{kind}: {formula}"
     assert source.target is not None
     target_law, gives, step = _target_law(source.target, table, drive)
@@ -571,7 +571,7 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     }
     kd = 0.0 if kds else kd
     # no drive holds a mean over the sample
-    held = target.held and target.sampled == "instant"
+    held = target.held if target.sampled == "instant" else False
     towards = target.value or f"column '{target.column}'"
     step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""

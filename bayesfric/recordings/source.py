@@ -142,10 +142,11 @@ class Effort(Channel):
         "sampling period, of which the stamp is the middle ('average'), the 'start' or the 'end'. "
         "The motion is then averaged alike.",
     )
-    held: bool = Field(
-        False,
+    held: bool | None = Field(
+        None,
         description="true: a command that the drive holds until the next sample, so that it acts "
-        "half a sample later.",
+        "half a sample later; false: it passes to the next in a line. Left out: a line, and of a "
+        "target without a torque a parameter, target.smoothness.",
     )
 
     @model_validator(mode="before")
