@@ -58,8 +58,6 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     """
     if cutoff == 0:
         return values.copy()
-    from scipy.signal import sosfilt
-
     check_cutoff(cutoff, fs, "processing, lowpass")
     sections, constant = _butterworth(order, cutoff, fs)
     padding = max(3 * (2 * len(sections) + 1), int(np.ceil(3 * fs / cutoff)))
@@ -68,15 +66,36 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     for a, b in segments:
         if b - a < 2:
             continue
-        x, n = rows[:, a:b], min(padding, b - a - 1)
         # reflected at both ends, longer than the transient of a low cut-off
-        before, after = 2.0 * x[:, :1] - x[:, n:0:-1], 2.0 * x[:, -1:] - x[:, -2 : -n - 2 : -1]
-        x = np.concatenate([before, x, after], axis=1)
-        for _ in range(2):  # forwards, and backwards
-            x, _ = sosfilt(sections, x, zi=constant[:, None] * x[:, :1])
-            x = x[:, ::-1]
-        rows[:, a:b] = x[:, n : n + b - a]
+        _there_and_back(rows, a, b, sections, constant, min(padding, b - a - 1))
     return result
+
+
+@njit(cache=True)
+def _there_and_back(rows, a, b, sections, constant, padding):  # type: ignore[no-untyped-def]
+    """Filter samples a to b of rows ``(k, N)`` in place by second-order sections, both ways."""
+    n = b - a
+    x = np.empty(n + 2 * padding)
+    for row in rows:
+        for i in range(n):
+            x[padding + i] = row[a + i]
+        for i in range(padding):
+            x[i] = 2.0 * row[a] - row[a + padding - i]
+            x[padding + n + i] = 2.0 * row[b - 1] - row[b - 2 - i]
+        for _ in range(2):
+            first = x[0]
+            for section in range(len(sections)):
+                b0, b1, b2, _, a1, a2 = sections[section]
+                z1, z2 = constant[section, 0] * first, constant[section, 1] * first
+                for i in range(x.size):
+                    y = b0 * x[i] + z1
+                    z1 = b1 * x[i] - a1 * y + z2
+                    z2 = b2 * x[i] - a2 * y
+                    x[i] = y
+            for i in range(x.size // 2):
+                x[i], x[-1 - i] = x[-1 - i], x[i]
+        for i in range(n):
+            row[a + i] = x[padding + i]
 
 
 @lru_cache(maxsize=64)

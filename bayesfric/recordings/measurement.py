@@ -205,7 +205,8 @@ class Law:
     limit: float = np.inf  # of the command, either way
     back_emf: float = 0.0  # motor torque for a speed of the joint
     off: Flags | None = None  # where the drive is off, if known
-    held: bool = False  # whether a command is held until the next; else linear
+    # whether a command is held until the next, else linear; None of a target where nobody knows
+    held: bool | None = False
     # ranges of gains that are not known, of kp and in addition to kd, as kp and kd; kp is its upper
     # end, or 1 where it is any
     unknown: Mapping[str, tuple[float, float]] = field(default_factory=dict)

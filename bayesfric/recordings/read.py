@@ -219,7 +219,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         inputs=inputs,
         steps=tuple(steps),
         warnings=tuple(warnings),
-        held=channel.held,
+        held=bool(channel.held),
         torque_lag=channel.lag if isinstance(channel, Torque | Current) else None,
         velocity_lag=None if source.velocity is None else source.velocity.lag,
         motion=drive.motion,
@@ -486,13 +486,13 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
             step = f"{kind}: the signal in {channel.unit} times {channel.constant}"
             if constant[0].endswith("/V"):
                 step += "; of the motor's own voltage the key voltage takes off the back-EMF"
-        return channel, kind, Law(torque, np.ones(torque.shape), held=channel.held), step
+        return channel, kind, Law(torque, np.ones(torque.shape), held=bool(channel.held)), step
     if (motor := source.current or source.voltage) is not None:
         gives: units.Kind = "current" if isinstance(motor, Current) else "voltage"
         command = _scaled(motor, table, gives, gives)
         factor, back_emf, formula = _motor(gives, motor, table, drive)
         scale = np.full(command.shape, factor)
-        law = Law(command, scale, back_emf=back_emf, held=motor.held)
+        law = Law(command, scale, back_emf=back_emf, held=bool(motor.held))
         return motor, gives, law, f"{kind}: {formula}"
     assert source.target is not None
     target_law, gives, step = _target_law(source.target, table, drive)
@@ -532,7 +532,7 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     kp = to_side * (kps[1] if np.isfinite(kps[1]) else 1.0)
     kd = 0.0 if "kd" in unknown else to_side * kds[1]
     # no drive holds a mean over the sample
-    held = target.held and target.sampled == "instant"
+    held = target.held if target.sampled == "instant" else False
     towards = target.value or f"column '{target.column}'"
     step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""

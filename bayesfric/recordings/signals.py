@@ -392,7 +392,7 @@ def unlimited_command(recording: Measurement, delay: float) -> Array:
     law, samples = recording.law, delay / recording.period
     assert law is not None
     assert recording.feedback is not None
-    command = filters.delayed_command(law.command, recording.segments, samples, held=law.held)
+    command = filters.delayed_command(law.command, recording.segments, samples, held=bool(law.held))
     return np.asarray(command - recording.feedback)
 
 
@@ -568,7 +568,7 @@ def command_rate(o: Signals, recording: Measurement, delay: float = 0.0) -> Arra
     law = recording.law
     assert law is not None
     inside = np.abs(unlimited_command(recording, delay)) < law.limit
-    late = delay + 0.5 * recording.period * law.held
+    late = delay + 0.5 * recording.period * bool(law.held)
     rate = _rate(o, law.command, recording.segments, recording.period, late)
     return np.asarray(law.scale * inside * rate)
 

@@ -131,8 +131,10 @@ class Effort(Channel):
         description="'instant': measured at its stamp; else a mean over one sampling period, of "
         "which the stamp is the middle ('average'), the 'start' or the 'end'.",
     )
-    held: bool = Field(
-        False, description="true: a command that the drive holds until the next sample."
+    held: bool | None = Field(
+        None,
+        description="true: a command that the drive holds until the next sample; false: it passes "
+        "in a line. Left out: a line; of a target without a torque a parameter, target.smoothness.",
     )
 
     @model_validator(mode="before")
