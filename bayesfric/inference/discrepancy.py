@@ -36,6 +36,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.special import expit, logsumexp
 from scipy.stats import chi2, rankdata
 
@@ -420,7 +421,11 @@ class _Candidates:
         powerful &= (np.arange(kinds) != other_than)[:, None]
         active, sd = self.included[powerful], sd[powerful]
         scaled = sd[:, None] * self.rough_gram[active[:, None], active] * sd / self.variance
-        return active, sd, np.linalg.inv(np.linalg.cholesky(scaled + np.eye(active.size)))
+        if not active.size:  # which LAPACK refuses
+            return active, sd, scaled
+        # a quarter of the time of numpy's
+        factor, _ = dpotrf(scaled + np.eye(active.size), lower=1)
+        return active, sd, dtrtri(factor, lower=1)[0]
 
 
 def _categorical(log_weights: Array, rng: np.random.Generator) -> int:
