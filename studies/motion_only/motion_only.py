@@ -99,7 +99,7 @@ def recorded(row: str, number: int) -> tuple[bf.Joint, bf.Recording, dict[str, A
     per_sample = round(1.0 / (RATE * STEP))
     steps = time_s.size * per_sample
     fine = np.arange(steps) * STEP
-    # a slow random torque of one per cent of what the drive gives
+    # a slow random torque, 0.3 % of kp times the targets' spread
     keeps, size = (
         np.exp(-1.0 / (RATE * rng.uniform(0.02, 0.2))),
         0.01 * true["kp"] * goal.std() * 0.3,
@@ -178,8 +178,8 @@ def fitted(row: str, number: int) -> dict[str, Any]:
 def table(results: dict[str, list[dict[str, Any]]]) -> str:
     """Return the README's table."""
     lines = [
-        "| row | fits | intervals hold | posterior's | identified | of these off | doubted or named "
-        "| median half widths, % | CPU s |",
+        "| row | fits | intervals hold | posterior's | identified | of these off | doubted or named"
+        " | median half widths, % | CPU s |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row, fits in results.items():
