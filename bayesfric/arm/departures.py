@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import Vector
+from bayesfric.arm.arm_options import Vector, torque_columns
 from bayesfric.arm.inertial_prior import PER_BODY, Bodies, InertialPrior
 from bayesfric.arm.joint_consistency import UNLIKELY
 from bayesfric.base.errors import BadInput
@@ -122,12 +122,12 @@ def _likelihood(
     """
     torques, losses, measured, strokes = [], [], [], 1
     for o, log, still in zip(observations, logs, gravity, strict=False):
-        rigid, sign = bodies_torques(o), np.sign(o.qd)
-        weight = interpolated(log.time, still, o.stamps)
-        loads = [np.abs(rigid[0]) * sign, np.abs(rigid[0] - weight) * sign]
-        columns = [sign, o.qd, *loads, o.qdd, np.ones_like(sign)]
+        rigid, weight = bodies_torques(o), interpolated(log.time, still, o.stamps)
+        sign, columns = np.sign(o.qd), torque_columns(rigid[0], o.qd, o.qdd)
+        # friction by a load that may lack gravity
+        columns = np.vstack([columns, np.abs(rigid[0] - weight) * sign])
         torques.append(o.filter.apply(np.vstack([rigid, -weight])))
-        losses.append(o.filter.apply(np.stack(columns)))
+        losses.append(o.filter.apply(columns))
         measured.append(o.measured)
         strokes += int(np.count_nonzero(np.diff(sign[o.filter.centres])))
     x, friction = np.concatenate(torques, axis=1).T, np.concatenate(losses, axis=1).T
@@ -135,7 +135,8 @@ def _likelihood(
     coefficients = np.linalg.lstsq(both, y, rcond=None)[0]
     residual = y - both @ coefficients
     variance = long_run_variance(residual, np.arange(y.size)) / max(y.size - both.shape[1], 1)
-    size = lacking * np.std(friction[:, :4] @ coefficients[:4])
+    losing = [1, 2, 3, 5]  # Coulomb, viscous, and those by the load
+    size = lacking * np.std(friction[:, losing] @ coefficients[losing])
     variance += float(size**2) * y.size / strokes
     basis = np.linalg.qr(friction)[0]
     x, y = x - basis @ (basis.T @ x), y - basis @ (basis.T @ y)
@@ -334,25 +335,15 @@ def combined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
 # -- joints whose motor turns with another joint, too, as in many wrists
 
 
-@dataclass(frozen=True)
-class Coupled:
-    """A motor that turns with another joint: ratio, and residual rms without and with that."""
-
-    other: str
-    ratio: float
-    before: float
-    after: float
-
-
 def coupled_joint(
     o: Signals, log: ArmLog, joints: Sequence[str], name: str, torques: Array
-) -> Coupled | None:
+) -> tuple[str, float, float, float] | None:
     """Find the joint whose motion a joint's effort follows in addition to its own, if any does.
 
-    Friction and rotor inertia of such a motor follow ``q_i + s q_j``: with that speed the model has
-    the ratio ``s`` in addition. ``torques`` ``(k, n)`` are the nominal rigid-body torque and its
-    deviations along the log. By the Bayesian information criterion of as many independent outputs
-    as the residual has, ratios and joints equally likely.
+    Returns its name, the ratio ``s``, and the rms residual without and with it: friction and rotor
+    inertia of such a motor follow ``q_i + s q_j``. ``torques`` ``(k, n)`` are the nominal
+    rigid-body torque and its deviations along the log. By the Bayesian information criterion of as
+    many independent outputs as the residual has, ratios and joints equally likely.
     """
     o, index = o.excerpt(), [*joints].index(name)
     load = interpolated(log.time, torques, o.stamps)
@@ -381,14 +372,4 @@ def coupled_joint(
     evidence = 2.0 * independent * math.log(before / max(after, 1e-12 * before))
     if evidence < math.log(count) + 2.0 * math.log(len(_RATIOS) * len(moving)) + _STRONG:
         return None
-    return Coupled(joints[other], float(ratio), before, after)
-
-
-def coupling_remark(name: str, coupled: Coupled, unit: str) -> str:
-    """Say how to couple two joints."""
-    other, ratio = coupled.other, coupled.ratio
-    return (
-        f"its effort is that of a motor that turns with {other}, too ({coupled.before:.3g} to "
-        f'{coupled.after:.3g} {unit} rms): [coupling] joints = ["{other}", "{name}"], '
-        f"matrix = [[1, 0], [{ratio:.2g}, 1]]"
-    )
+    return joints[other], float(ratio), before, after

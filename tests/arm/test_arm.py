@@ -123,8 +123,9 @@ def test_a_motor_that_turns_with_two_joints_is_named(monkeypatch, ratio):
         Arm("arm.urdf", QUICK).fit("log.csv")
     assert results[SHOULDER] is None
     if ratio:
-        assert results[ELBOW].other == SHOULDER
-        assert results[ELBOW].ratio == pytest.approx(ratio, rel=0.03)
+        other, fitted, *_ = results[ELBOW]
+        assert other == SHOULDER
+        assert fitted == pytest.approx(ratio, rel=0.03)
     else:
         assert results[ELBOW] is None
 
