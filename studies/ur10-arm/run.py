@@ -154,9 +154,15 @@ def quality(prediction: Prediction) -> dict[str, float]:
     }
 
 
-def compared(fitted_log: Path, predicted_log: Path) -> tuple[dict[str, dict], FittedArm]:
-    """Fit the arm on a motion and predict the other by all methods."""
-    fitted = bf.Arm(DATA / "ur10.urdf").fit(fitted_log, predict=predicted_log, seed=SEED)
+def compared(
+    fitted_log: Path, predicted_log: Path, joints: list[str] | None = None
+) -> tuple[dict[str, dict], FittedArm]:
+    """Fit the arm, or some joints, on a motion and predict the other by all methods."""
+    arm = bf.Arm(DATA / "ur10.urdf")
+    if joints:
+        joint_options = {name: {"fit": name in joints} for name in arm.bodies.joints}
+        arm = bf.Arm(DATA / "ur10.urdf", {"joints": joint_options})
+    fitted = arm.fit(fitted_log, predict=predicted_log, seed=SEED)
     outcomes = {}
     for name, joint_fit in fitted.joints.items():
         record = joint_fit.as_json()
@@ -174,8 +180,9 @@ def compared(fitted_log: Path, predicted_log: Path) -> tuple[dict[str, dict], Fi
             "least squares": least_squares(joint_fit),
             **record,
         }
-    for name, record in on_base_parameters(fitted).items():
-        outcomes[name] |= record
+    if not joints:
+        for name, record in on_base_parameters(fitted).items():
+            outcomes[name] |= record
     print("\n".join(fitted.text()), file=sys.stderr)
     return outcomes, fitted
 
