@@ -29,7 +29,6 @@ import numpy as np
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import Vector, torque_columns
 from bayesfric.arm.inertial_prior import PER_BODY, Bodies, InertialPrior
-from bayesfric.arm.joint_consistency import UNLIKELY
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.input_error import input_error
@@ -43,6 +42,8 @@ from bayesfric.report.summary.doubts import put_doubts
 # Scales of a departure that are compared, and the logs of the half-Cauchy's density of their logs.
 _SCALES = 2.0 ** np.arange(-4, 13)
 _ODDS = np.log(2.0 * _SCALES / (1.0 + _SCALES**2))
+# Least odds of an alternative.
+_LEAST = 0.05
 # Twice the log of a Bayes factor that is strong evidence (Kass and Raftery 1995).
 _STRONG = 6.0
 # Longest delay to look for, s.
@@ -64,7 +65,7 @@ class Departures:
     """The departures taken, and factors of the torque of the bodies with their sds."""
 
     taken: tuple[Departure, ...]
-    alternatives: tuple[Departure, ...]  # that explain the log nearly as well in place of one
+    alternatives: tuple[Departure, ...]  # in addition or in place of one, not much less likely
     joints: Mapping[str, tuple[float, float]]  # of those whose effort may have another scale
     bodies: tuple[float, float]  # of all together, by joints whose effort has none
     scales: Mapping[str, float]  # of efforts, taken
@@ -214,7 +215,8 @@ class Evidence:
                 if any(departure[:2] == (kind, name) for departure in taken):
                     continue
                 along, across = x.T @ score, x.T @ marginal @ x
-                gains, scales = along - across[0] / 2.0, np.ones(1)
+                gains: Array = along - across[0] / 2.0
+                scales: Array = np.ones(1)
                 if kind != "gravity":
                     variances, axes = np.linalg.eigh(across)
                     scales, scaled = _SCALES, _SCALES[:, None] ** 2
@@ -228,7 +230,7 @@ class Evidence:
     def likeliest(self) -> tuple[tuple[Departure, ...], tuple[Departure, ...]]:
         """Add and drop departures until none is better; and the likeliest others of each kind.
 
-        These explain the data in place of one taken, less well by a factor of at most a hundred.
+        Data favour these, too, in addition to those taken or in place of one.
         """
         taken, value = tuple[Departure, ...](), self.posterior(())[0]
         while True:
@@ -240,10 +242,12 @@ class Evidence:
                 break
             value, taken = best, option
         alternatives = dict[str, Departure]()
-        for each, rest in zip(taken, rests, strict=True):
-            least = max(value + math.log(UNLIKELY), self.posterior(rest)[0])
-            others = sorted(x for x in self.added(rest) if x[0] > least and x[1].kind != each.kind)
-            alternatives |= {departure.kind: departure for _, departure in others}
+        for kind, rest in (("", taken), *zip([x.kind for x in taken], rests, strict=True)):
+            without = self.posterior(rest)[0]
+            for v, departure in sorted(self.added(rest)):
+                least = max(value + math.log(_LEAST), without + self._odds(departure.kind))
+                if v > least and departure.kind != kind:
+                    alternatives[departure.kind] = departure
         return taken, tuple(alternatives.values())
 
 
