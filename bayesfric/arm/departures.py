@@ -222,7 +222,7 @@ class Evidence:
                     scales, scaled = _SCALES, _SCALES[:, None] ** 2
                     shares = scaled * np.maximum(variances, 0.0)
                     terms = scaled * (axes.T @ along) ** 2 / (1.0 + shares) - np.log1p(shares)
-                    gains = _ODDS + np.sum(terms, axis=1) / 2.0
+                    gains = np.asarray(_ODDS + np.sum(terms, axis=1) / 2.0, dtype=np.float64)
                 best = int(np.argmax(gains))
                 gain, scale = float(gains[best]), float(scales[best])
                 yield value + self._odds(kind) + gain, Departure(kind, name, scale)
