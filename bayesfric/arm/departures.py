@@ -40,7 +40,7 @@ from bayesfric.recordings.signals import Signals, retimed
 from bayesfric.report.summary.doubts import put_doubts
 
 # Scales of a departure that are compared, and the logs of the half-Cauchy's density of their logs.
-_SCALES = 2.0 ** np.arange(-4, 13)
+_SCALES = np.asarray(2.0 ** np.arange(-4, 13), dtype=np.float64)
 _ODDS = np.log(2.0 * _SCALES / (1.0 + _SCALES**2))
 # Least odds of an alternative.
 _LEAST = 0.05
