@@ -13,6 +13,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from bayesfric.diagnostics.candidates import columns_along
 from bayesfric.diagnostics.explanation import Explanation, finding_of
@@ -34,13 +35,20 @@ from bayesfric.diagnostics.statistics import (
 )
 from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.closed_loop import ENCODER, INSTANTS, follow
+from bayesfric.mechanism.closed_loop import (
+    ENCODER,
+    INSTANTS,
+    SLOW_TIME,
+    SLOW_TORQUE,
+    WHITE_TORQUE,
+    follow,
+)
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.signals import Signals
 
-# Simulated recordings for the calibration check: they have no torque noise, so few suffice.
+# Simulated recordings for the calibration check.
 _REPLICATES = 8
 # Torque of a candidate, as a share of the largest, by which its effect is differentiated.
 _SMALL = 1e-2
@@ -148,25 +156,32 @@ def _simulated(
     for r, (recording, o) in enumerate(
         zip(likelihood.recordings, likelihood.observations, strict=True)
     ):
-        played, _ = _played(likelihood, values, r)
-        instants, encoder = noise[r, INSTANTS], noise[r, ENCODER]
-        q = played.q + played.qd * instants * random.standard_normal(played.q.size)
-        q += encoder * random.standard_normal(q.size)
+        size = recording.time.size
+        z, instants, encoder, white = random.standard_normal((4, size))
+        keeps = np.exp(-recording.period / noise[r, SLOW_TIME])
+        # of white torque, passed in a line, two thirds of the variance stay
+        push = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], z) * noise[r, SLOW_TORQUE]
+        push += np.sqrt(1.5) * noise[r, WHITE_TORQUE] * white
+        factor, _ = likelihood.chain.drive_gains(values[None])
+        played, _ = _played(likelihood, values, r, push[None] * factor)
+        q = played.q + played.qd * noise[r, INSTANTS] * instants + noise[r, ENCODER] * encoder
         if step := o.position_step:
             q = step * np.round(q / step)
         recordings.append(replace(recording, position=q))
     return likelihood.of(recordings, values)
 
 
-def _played(likelihood: ClosedLoopLikelihood, values: Array, r: int) -> tuple[Signals, Measurement]:
-    """Replace a recording's motion by the one that its targets make of the model."""
+def _played(
+    likelihood: ClosedLoopLikelihood, values: Array, r: int, push: Array | None = None
+) -> tuple[Signals, Measurement]:
+    """Replace a recording's motion by that which its targets, and a torque, make of the model."""
     o, recording = likelihood.observations[r], likelihood.recordings[r]
     assert recording.law is not None
     starts = [a for a, _ in recording.segments]
     state, options = (o.q[starts], o.qd[starts]), {"inputs": o.inputs, "begin": recording.time[0]}
     q, qd = follow(
         likelihood.chain, values[None], recording.law, recording.period, recording.segments,
-        *state, **options,
+        *state, push=push, **options,
     )  # fmt: skip
     qdd = np.zeros_like(qd[0])
     for a, b in recording.segments:
