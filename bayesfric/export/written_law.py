@@ -122,7 +122,7 @@ def _kernels() -> dict[str, Any]:
 def statements(joint: Joint, vector: Array) -> list[tuple[str, str]]:
     """Write down the measured torque of a joint at one vector ``(d,)``, as ``measured``.
 
-    Names and formulas in order; a comment has no name. It starts from ``q``, ``v``, ``a`` and ``s``,
+    Names and formulas in order; a comment has no name. It starts from ``q``, ``v``, ``a``, ``s``,
     at 20 degC and time zero, without a delay.
     """
     run, custom = _kernels(), [term.name for term in joint.terms]
