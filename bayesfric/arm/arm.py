@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.arm.arm_closed_loop import common_timing, own_columns
 from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_coupling import coupled_joint, remark
 from bayesfric.arm.arm_delay import common_delay
@@ -131,15 +132,20 @@ class Arm:
             evident = late is not None and late.evident
             directions = {name: joint.directions for name, joint in joints.items()}
             known = options.payload.given
-            factors = common_factors(bodies, prior, logs, models, directions, payload=known)
+            by_effort = {name: x for name, x in models.items() if not x.chain.by_target}
+            factors = common_factors(bodies, prior, logs, by_effort, directions, payload=known)
             if factors.changes or evident:
                 delay = late.value if late is not None and evident else delay
                 bodies, prior = bodies.under(factors.gravity), prior.widened(factors.widths)
                 for arm_log in logs:
                     arm_log.scales = factors.scales
                 joints, models, torques = self._models(bodies, prior, logs, others, delay)
+            closed = {name: x for name, x in models.items() if x.chain.closed_loop}
+            timing = common_timing(closed, report)
             for name, model in models.items():
                 report(Progress(name))
+                if timing is not None and name in closed:
+                    model = timing.known(model)
                 joints[name] = self._with_coupling(joints[name], model, logs[0], torques[name])
                 try:
                     result = factors.doubted(name, model.fit(seed=seed, progress=report))
@@ -149,7 +155,7 @@ class Arm:
         if all(joint.result is None for joint in joints.values()):
             failures = "; ".join(f"{name}: {joint.failure}" for name, joint in joints.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return FittedArm.combined(bodies, logs, joints, prior, seed, factors, assumed, late)
+        return FittedArm.combined(bodies, logs, joints, prior, seed, factors, assumed, late, timing)
 
     def _models(
         self,
@@ -184,7 +190,8 @@ class Arm:
             try:
                 if isinstance(effort, BadInput):
                     raise effort
-                models[name] = self._model(joint, logs, torques, held_out, delay)
+                further = own_columns(bodies, name, directions, logs, parameters)
+                models[name] = self._model(joint, logs, torques, further, held_out, delay)
                 urdf, *deviations = compared_torques(models[name])
                 joint = replace(
                     joint,
@@ -268,6 +275,7 @@ class Arm:
         fitted: FittedJoint,
         logs: Sequence[ArmLog],
         torques: Sequence[Array],
+        further: Sequence[Mapping[str, Array]],
         held_out: Sequence[str],
         delay: float,
     ) -> Model:
@@ -277,7 +285,12 @@ class Arm:
         """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)
-        recordings = [log.recording(joint, t) for log, t in zip(logs, torques, strict=True)]
+        by_target = logs[0].by_target(joint.name)
+        if by_target:  # what is held out is predicted by the arm as a whole, from its targets
+            logs, held_out = logs[: len(logs) - len(held_out)], ()
+        recordings = [
+            log.recording(joint, t, x) for log, t, x in zip(logs, torques, further, strict=False)
+        ]
         columns = signals(fitted.directions.shape[1])
         normal = {"distribution": "norm", "loc": 0.0, "scale": 1.0}
         priors: dict[str, Any] = {f"load.{column}": normal for column in columns}
@@ -287,7 +300,7 @@ class Arm:
         delay = delay if joint_options.delay is None else joint_options.delay
         gain = joint_options.gain or options.gain
         if delay:
-            priors["drive.delay"] = delay
+            priors["target.delay" if by_target else "drive.delay"] = delay
         if gain:
             lognormal = {"distribution": "lognorm", "s": gain, "scale": 1.0}
             priors["drive.gain"] = [*gain] if isinstance(gain, tuple) else lognormal
@@ -300,9 +313,13 @@ class Arm:
                 "motion": joint.motion,
                 "offset": True,
                 "gain": bool(gain),
-                "delay": delay != 0.0,
+                **({} if by_target else {"delay": delay != 0.0}),
                 "elements": {"motor": friction},
-                "load": {"motion": joint.motion, "signals": columns},
+                "load": {
+                    "motion": joint.motion,
+                    "signals": columns,
+                    **({"spring": True} if options.spring else {}),
+                },
             },
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],
             "priors": {**priors, **joint_options.priors},

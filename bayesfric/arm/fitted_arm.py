@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from bayesfric.arm.arm_closed_loop import Timing
 from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS, Repeatability
@@ -301,6 +302,7 @@ class FittedArm:
     factors: CommonFactors
     assumed: str = ""  # about columns and units that the log does not name
     late: ArmDelay | None = None  # of the efforts; None where it is known
+    timing: Timing | None = None  # of targets and readings, of joints without an effort
 
     @classmethod
     def combined(
@@ -313,6 +315,7 @@ class FittedArm:
         factors: CommonFactors,
         assumed: str = "",
         late: ArmDelay | None = None,
+        timing: Timing | None = None,
     ) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
         rng, updated = np.random.default_rng(seed), dict(joints)
@@ -321,7 +324,7 @@ class FittedArm:
         consistency = combine_joints(prior, likelihoods, rng)
         for name, joint in fitted.items():
             updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed, late)
+        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed, late, timing)
 
     @property
     def urdf(self) -> Path:
@@ -408,6 +411,7 @@ class FittedArm:
             "assumed": self.assumed,
             "samples": self.samples,
             "delay": self.late and asdict(self.late),
+            "timing": self.timing and asdict(self.timing),
             "bodies": self.inertial_estimate,
             "joints": {name: joint.as_json() for name, joint in self.joints.items()},
         }

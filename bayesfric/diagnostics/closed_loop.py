@@ -103,7 +103,7 @@ def _played(likelihood: ClosedLoopLikelihood, values: Array, r: int) -> tuple[Si
     o, recording = likelihood.observations[r], likelihood.recordings[r]
     assert recording.law is not None
     starts = [a for a, _ in recording.segments]
-    state, options = (o.q[starts], o.qd[starts]), {"inputs": o.inputs, "begin": recording.time[0]}
+    state, options = (o.q[starts], o.qd[starts]), {"inputs": o.inputs, "time": recording.time}
     q, qd = follow(
         likelihood.chain, values[None], recording.law, recording.period, recording.segments,
         *state, **options,

@@ -283,7 +283,7 @@ def closed_loop_mode(
 
     What the model lacks at high frequency moves the estimate from single readings most. Where that
     from predictions 20 ms ahead differs by more than ``largest`` standard deviations of the
-    difference, it is used, and the differences are given by name.
+    difference, it is used, and the differences are given by name; with infinity it is not searched.
     """
     likelihood, rng = target.likelihood, np.random.default_rng(seed)
     assert isinstance(likelihood, ClosedLoopLikelihood)
@@ -299,7 +299,7 @@ def closed_loop_mode(
 
     candidates = _closed_loop_candidates(target, estimates, prior_draws)
     mode = climb_from(target, candidates[int(np.argmax(target(candidates)))])
-    if likelihood.longer == 1:
+    if likelihood.longer == 1 or np.isinf(largest):
         return at_mode(target, mode, {})
     longer = copy(target)
     longer.likelihood = likelihood.with_stride(likelihood.longer)
@@ -419,10 +419,11 @@ def _closed_loop_candidates(
             change = np.tile(values, len(rows))[:, None]
             others[:, columns] = change if quantity == "delay" else others[:, columns] * change
             rows = np.concatenate([rows, others])
-    inner = np.quantile(prior_draws, [0.002, 0.5, 0.998], axis=0)
-    rows = np.clip(rows, inner[0, :k], inner[2, :k])
-    noise = np.tile(inner[1, k:], (len(rows), 1))
-    return target.from_parameters(np.concatenate([rows, noise], axis=1))
+    low, *noises, high = np.quantile(prior_draws, [0.002, 0.5, 0.84, 0.975, 0.998], axis=0)
+    rows = np.unique(np.clip(rows, low[:k], high[:k]), axis=0)
+    # with little noise what is wrong of a start is far too certain
+    starts = [np.column_stack([rows, np.tile(noise[k:], (len(rows), 1))]) for noise in noises]
+    return target.from_parameters(np.concatenate(starts))
 
 
 def _searched_mode(

@@ -126,9 +126,10 @@ def draw(
         progress(Progress("sampling", len(draws), effective, 1.0))
         if effective >= enough or len(draws) >= most:
             break
-        # a few to learn the shape from, then as many as are wanted at the efficiency so far
+        # a few to learn the shape from, then as many as are wanted at the efficiency so far, but
         number = max(20 * d, int(1.2 * (enough - effective) / max(share, 0.05)))
-        number = min(number if len(counts) > 1 else 20 * d, most - len(draws))
+        # at most as many as there are: early efficiencies are too low
+        number = min(number, max(len(draws), 20 * d), most - len(draws))
         ratios = np.concatenate([ratios, new := proposals[-1].draw(number, random)])
         new = new.copy()
         new[:, columns] *= new[:, by : by + 1]

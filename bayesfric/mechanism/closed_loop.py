@@ -28,7 +28,7 @@ from bayesfric.mechanism.integrate import (
     plant_of,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.kernels import GAIN, INERTIA, VISCOUS
+from bayesfric.mechanism.kernels import GAIN, INERTIA, LOAD_INERTIA, VISCOUS
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.measurement import Inputs, Law
 
@@ -54,7 +54,7 @@ class _Drive(NamedTuple):
     held: bool  # whether a command is held until the next; else linear
     delay: float  # by which it acts late on its target, samples
     period: float  # s
-    begin: float  # s, time of the first sample
+    time: Array  # (N,) s
     longest: float  # s, longest step
 
 
@@ -67,11 +67,22 @@ class _Loop(NamedTuple):
     valid: Flags  # (n,)
     drive: _Drive  # the gains are those of no vector
     gains: Array  # (n, 4) factor of the command, kp, kd, delay in samples
+    # coefficients (n, c) of the load's inertia and torque (c, 2, N) by further columns
+    weights: Array
+    columns: Array
 
 
 def _loop(
-    joint: Joint, vectors: Array, law: Law, period: float, inputs: Inputs, begin: float, step: float
+    joint: Joint,
+    vectors: Array,
+    law: Law,
+    period: float,
+    inputs: Inputs,
+    time: Array | None,
+    step: float,
 ) -> _Loop:
+    time = period * np.arange(law.command.size) if time is None else time
+    weights, columns, inputs = joint.load_columns(vectors, inputs, time)
     elements, load, carried = forward_tables(joint, vectors, inputs)
     # gains that are parameters act inside the drive's limit, not as a gain and a viscous loss
     factor, kd = joint.drive_gains(vectors)
@@ -89,9 +100,12 @@ def _loop(
     gains = np.stack([factor, kp, kd - back * kp, late], axis=1)
     limit, back_emf = float(law.limit), float(law.back_emf)
     drive = _Drive(
-        command, 1.0, scale, on, 0.0, 0.0, limit, back_emf, law.held, 0.0, period, begin, step
+        command, 1.0, scale, on, 0.0, 0.0, limit, back_emf, law.held, 0.0, period, time, step
     )
-    return _Loop(elements, load, carried, possible(joint, vectors, elements, load), drive, gains)
+    least = load.copy()
+    least[:, LOAD_INERTIA] += (weights @ columns[:, 0]).min(axis=1)
+    valid = possible(joint, vectors, elements, least)
+    return _Loop(elements, load, carried, valid, drive, gains, weights, columns)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -108,9 +122,18 @@ def _with_gains(drive: _Drive, gains: Array) -> _Drive:
         drive.held,
         gains[3],
         drive.period,
-        drive.begin,
+        drive.time,
         drive.longest,
     )
+
+
+@njit(cache=True, error_model="numpy")
+def _of_load(weights: Array, columns: Array) -> Array:
+    """Inertia and torque of the load ``(2, N)`` by further columns, at coefficients ``(c,)``."""
+    out = np.zeros(columns.shape[1:])
+    for c in range(columns.shape[0]):
+        out += weights[c] * columns[c]
+    return out
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -138,15 +161,19 @@ def _over_sample(
     qd: float,
     push: float,
     push_rate: float,
+    of_load: Array,
     out: Array,
     counts: Index,
 ) -> tuple[float, float]:
     """Move the joint from sample ``i`` to the next of a segment ``first`` to ``last``.
 
-    ``push`` is a torque in addition at the sample, and its change over it. NaN if it runs away.
+    ``push`` is a torque in addition at the sample, and its change over it; ``of_load`` ``(2, N)``
+    the load's inertia and torque. NaN if it runs away.
     """
     torque = np.empty(2)
     j = min(i + 1, drive.scale.shape[0] - 1)
+    inertia = 0.5 * (of_load[0, i] + of_load[0, j])
+    pull = 0.5 * (of_load[1, i] + of_load[1, j])
     knot = drive.delay - math.floor(drive.delay)  # where the target changes
     for part in range(2):
         a, b = (0.0, knot) if part == 0 else (knot, 1.0)
@@ -173,8 +200,9 @@ def _over_sample(
                     c0 = c1 = regime * drive.limit
                 torque[0] = on * scale0 * c0 + push + now * push_rate
                 torque[1] = on * scale1 * c1 + push + end * push_rate
-                looped = fed_back(plant, on * plant.gain * stiffness, on * plant.gain * damping)
-                time, h = drive.begin + (i + now) * drive.period, (end - now) * drive.period
+                feedback = on * plant.gain
+                looped = fed_back(plant, feedback * stiffness, feedback * damping, inertia, pull)
+                time, h = drive.time[i] + now * drive.period, (end - now) * drive.period
                 if integrate(looped, torque, h, time, True, q, qd, 1, out, counts) < 2:
                     return math.nan, math.nan
                 q1, qd1 = out[POSITION, 1], out[SPEED, 1]
@@ -213,7 +241,7 @@ def follow(
     *,
     push: ArrayLike | None = None,
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    begin: float = 0.0,
+    time: Array | None = None,
     step: float = 2e-3,
 ) -> tuple[Array, Array]:
     """Simulate the joint while a drive follows its command, restarted in every segment ``(K, 2)``.
@@ -224,7 +252,7 @@ def follow(
     vectors = np.ascontiguousarray(values, dtype=np.float64)
     rows = np.zeros((1, law.command.size)) if push is None else push
     q, qd = _follow(
-        *_loop(joint, vectors, law, float(period), inputs, float(begin), float(step)),
+        *_loop(joint, vectors, law, float(period), inputs, time, float(step)),
         np.ascontiguousarray(rows, dtype=np.float64),
         np.asarray(segments, dtype=np.int64),
         np.asarray(q0, dtype=np.float64),
@@ -241,6 +269,8 @@ def _follow(
     valid: Flags,
     drive: _Drive,
     gains: Array,
+    weights: Array,
+    columns: Array,
     pushes: Array,
     segments: Index,
     q0: Array,
@@ -255,6 +285,7 @@ def _follow(
             continue
         plant = plant_of(elements, loads, carried, v)
         looped = _with_gains(drive, gains[v])
+        of_load = _of_load(weights[v], columns)
         push = pushes[v if pushes.shape[0] > 1 else 0]
         out, counts = np.empty((4, 2)), np.zeros(2, dtype=np.int64)
         a, b = segments[k]
@@ -263,7 +294,9 @@ def _follow(
             q_out[v, i], qd_out[v, i] = q, qd
             if i < b - 1 and not np.isnan(q):
                 rate = push[i + 1] - push[i]
-                q, qd = _over_sample(plant, looped, i, a, b - 1, q, qd, push[i], rate, out, counts)
+                q, qd = _over_sample(
+                    plant, looped, i, a, b - 1, q, qd, push[i], rate, of_load, out, counts
+                )
     return q_out, qd_out
 
 
@@ -290,7 +323,7 @@ def innovations(
     stride: int = 1,
     push: ArrayLike | None = None,
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    begin: float = 0.0,
+    time: Array | None = None,
     step: float = 5e-3,
 ) -> tuple[Array, Array]:
     """Predict every encoder reading from the ones before it, for parameter vectors ``(n, d)``.
@@ -319,7 +352,7 @@ def innovations(
     vectors = np.ascontiguousarray(values, dtype=np.float64)
     rows = np.broadcast_to(0.0 if push is None else push, (len(vectors), position.size))
     error, variance = _innovations(
-        *_loop(joint, vectors, law, float(period), inputs, float(begin), float(step)),
+        *_loop(joint, vectors, law, float(period), inputs, time, float(step)),
         np.ascontiguousarray(noise, dtype=np.float64),
         np.ascontiguousarray(rows, dtype=np.float64),
         np.asarray(segments, dtype=np.int64),
@@ -339,6 +372,8 @@ def _innovations(
     valid: Flags,
     drive: _Drive,
     gains: Array,
+    weights: Array,
+    columns: Array,
     noise: Array,
     pushes: Array,
     segments: Index,
@@ -355,6 +390,7 @@ def _innovations(
             continue
         plant = plant_of(elements, loads, carried, v)
         looped = _with_gains(drive, gains[v])
+        of_load = _of_load(weights[v], columns)
         error, variance = errors[v], variances[v]
         for k in range(segments.shape[0]):
             a, b = segments[k]
@@ -363,6 +399,7 @@ def _innovations(
                 looped,
                 noise[v],
                 pushes[v],
+                of_load,
                 a,
                 b,
                 y,
@@ -395,6 +432,7 @@ def _filter(
     drive: _Drive,
     noise: Array,
     known: Array,
+    of_load: Array,
     first: int,
     end: int,
     y: Array,
@@ -409,8 +447,6 @@ def _filter(
     x, p, root = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
     points, gain = np.zeros((6, 3)), np.zeros(3)
     out, counts = np.empty((4, 2)), np.zeros(2, dtype=np.int64)
-    inertia = motor_torque(plant, 0.0, 0.0, 1.0, 0.0, 0.0)
-    inertia -= motor_torque(plant, 0.0, 0.0, 0.0, 0.0, 0.0)
     # in units of the measured torque, at the gains that the law was read with
     unit, slow = drive.factor, noise[SLOW_TORQUE] * drive.factor
     base = noise[ENCODER] ** 2 + rounding**2
@@ -420,7 +456,7 @@ def _filter(
     p[0, 0], p[1, 1] = base, (0.3 * speed) ** 2 + base / period**2
     p[2, 2] = slow**2
     keeps = math.exp(-period / noise[SLOW_TIME])
-    kick = (plant.gain * noise[WHITE_TORQUE] * unit / inertia) ** 2 * period
+    random = plant.gain * noise[WHITE_TORQUE] * unit
     run = 1
     for k in range(first, end):
         if k > first and (k - first) % stride == 0 and compared[k]:
@@ -456,6 +492,7 @@ def _filter(
                     x[1] + shift * root[1, i],
                     push + known[k],
                     known[k + 1] - known[k],
+                    of_load,
                     out,
                     counts,
                 )
@@ -468,6 +505,10 @@ def _filter(
                 for r in range(6):
                     s += (points[r, i] - x[i]) * (points[r, j] - x[j])
                 p[i, j] = p[j, i] = s / 6.0
+        moved = fed_back(plant, 0.0, 0.0, of_load[0, k], 0.0)
+        inertia = motor_torque(moved, 0.0, 0.0, 1.0, 0.0, 0.0)
+        inertia -= motor_torque(moved, 0.0, 0.0, 0.0, 0.0, 0.0)
+        kick = (random / inertia) ** 2 * period
         p[2, 2] += slow**2 * (1.0 - keeps**2)
         p[1, 1] += kick
         p[0, 1] += 0.5 * kick * period

@@ -181,6 +181,13 @@ class Inputs:
             return signal
         return self.others.get(name, steady(0.0))
 
+    def inertia_of(self, name: str) -> Signal | None:
+        """Look up the further column ``NAME inertia``.
+
+        A torque by the column NAME holds it times :data:`ACCELERATION`, where there are both.
+        """
+        return self.others.get(f"{name} inertia")
+
     @property
     def known_load(self) -> bool:
         """Whether a known mass or a measured torque loads the joint."""
@@ -193,6 +200,8 @@ class Inputs:
         return self.added_mass * self.radius**2, self.added_mass * self.radius
 
 
+# Further column of the acceleration along which torques of other columns were computed.
+ACCELERATION = "acceleration"
 # Inputs at constant speed and room temperature.
 AT_ROOM = Inputs(torque_rate=steady(0.0), temperature=steady(ROOM))
 
