@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from bayesfric.arm.arm_delay import combined
 from bayesfric.arm.arm_log import ArmLog, signals
+from bayesfric.arm.departures import combined
 from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.fit.model import Model
-from bayesfric.inference.fitting import Fit, closed_loop_mode
-from bayesfric.inference.importance import slope_and_information
+from bayesfric.inference.closed_loop_fit import closed_loop_mode, slope_and_information
+from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.problem.config import with_settings
 from bayesfric.recordings.arrays import Array, Flags

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,10 +20,9 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesfric.arm.arm_closed_loop import Timing
-from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS, Repeatability
-from bayesfric.arm.common_factors import CommonFactors
+from bayesfric.arm.departures import ArmDelay, Departures
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
 from bayesfric.arm.joint_consistency import (
     UNLIKELY,
@@ -299,32 +298,19 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
     consistency: JointConsistency
-    factors: CommonFactors
+    departures: Departures
     assumed: str = ""  # about columns and units that the log does not name
     late: ArmDelay | None = None  # of the efforts; None where it is known
     timing: Timing | None = None  # of targets and readings, of joints without an effort
 
-    @classmethod
-    def combined(
-        cls,
-        bodies: Bodies,
-        logs: Sequence[ArmLog],
-        joints: Mapping[str, FittedJoint],
-        prior: InertialPrior,
-        seed: int | None,
-        factors: CommonFactors,
-        assumed: str = "",
-        late: ArmDelay | None = None,
-        timing: Timing | None = None,
-    ) -> FittedArm:
+    def combined(self, rng: np.random.Generator) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
-        rng, updated = np.random.default_rng(seed), dict(joints)
-        fitted = {name: joint for name, joint in joints.items() if joint.result}
-        likelihoods = {name: joint.likelihood for name, joint in fitted.items()}
-        consistency = combine_joints(prior, likelihoods, rng)
-        for name, joint in fitted.items():
-            updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed, late, timing)
+        joints = dict(self.joints)
+        likelihoods = {name: joint.likelihood for name, joint in self.fitted.items()}
+        consistency = combine_joints(self.prior, likelihoods, rng)
+        for name, joint in self.fitted.items():
+            joints[name] = joint.updated(consistency, rng)
+        return replace(self, joints=joints, consistency=consistency)
 
     @property
     def urdf(self) -> Path:
@@ -373,8 +359,9 @@ class FittedArm:
             "agreed": [*consistency.agreed],
             "physical": consistency.physical,
             "width": float(np.max(self.prior.widths)),
-            "factor": dict(zip(("value", "sd"), self.factors.bodies, strict=True)),
-            "departures": [departure._asdict() for departure in self.factors.departures],
+            "factor": dict(zip(("value", "sd"), self.departures.bodies, strict=True)),
+            "departures": [x._asdict() for x in self.departures.taken],
+            "alternatives": [x._asdict() for x in self.departures.alternatives],
             "causes": consistency.deviations(self.prior),
             "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),
         }

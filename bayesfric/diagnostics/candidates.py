@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -321,11 +322,12 @@ def filtered_columns(
     o: Signals, columns: Iterable[tuple[Key, Array]], dtype: DTypeLike = np.float64
 ) -> tuple[list[Key], Array]:
     """Filter columns ``(N,)`` by key to ``(M, m)``, each contiguous; not finite counts as zero."""
-    keys, rows = [], []
-    for key, column in columns:
-        row = o.filter.apply(column)
-        if not np.isfinite(row).all():
-            row = o.filter.apply(np.where(np.isfinite(column), column, 0.0))
-        keys.append(key)
-        rows.append(row.astype(dtype))
-    return keys, np.array(rows).T
+    keys, rows, remaining = [], [], iter(columns)
+    while part := list(islice(remaining, 32)):  # some at once
+        keys += [key for key, _ in part]
+        unfiltered = np.array([column for _, column in part])
+        filtered = o.filter.apply(unfiltered)
+        if not np.isfinite(filtered).all():
+            filtered = o.filter.apply(np.where(np.isfinite(unfiltered), unfiltered, 0.0))
+        rows.append(filtered.astype(dtype))
+    return keys, np.concatenate(rows).T

@@ -30,6 +30,7 @@ from pydantic import Field
 
 from bayesfric.base.options import Options
 from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target, units_of
 from bayesfric.recordings.arrays import Array
@@ -263,7 +264,7 @@ def calibration_check(
     """
     begun, worked = time.perf_counter(), time.process_time()
     reason: CheckReason | None = explained.reason
-    if not isinstance(target.likelihood, TorqueLikelihood):
+    if isinstance(target.likelihood, PositionLikelihood):
         reason = "likelihood"
     elif any(o.rest is not None for o in observations):
         reason = "rest"
@@ -292,13 +293,13 @@ def _fit(
     The prior is centred on the truth, as its pull is no bias; for a subsample its information is
     scaled by ``share``.
     """
-    assert isinstance(target.likelihood, TorqueLikelihood)
-    k = len(target.free)
-    units, noise = units_of(target, truth), target.likelihood.noise
-    scales = target.noise.scales(truth[None, k:])[0]
-    rows = np.column_stack([replicate.base[:, columns] * units.units, replicate.residual])
-    parts = zip(replicate.layout.split(rows), replicate.layout.runs, scales, strict=True)
-    white = np.concatenate([noise.standard(x.T, runs, scale)[0].T for x, runs, scale in parts])
+    k, likelihood = len(target.free), target.likelihood
+    units, scales = units_of(target, truth), target.noise.scales(truth[None, k:])[0]
+    white = np.column_stack([replicate.base[:, columns] * units.units, replicate.residual])
+    if isinstance(likelihood, TorqueLikelihood):  # prediction errors are white
+        parts = zip(replicate.layout.split(white), replicate.layout.runs, scales, strict=True)
+        standard = likelihood.noise.standard
+        white = np.concatenate([standard(x.T, runs, scale)[0].T for x, runs, scale in parts])
     jacobian, error = white[:, :-1], white[:, -1]
     sds = np.array([prior.sd() for prior in target.priors[:k]])
     precision = np.where(np.isfinite(sds), (units.units / sds) ** 2, 0.0)

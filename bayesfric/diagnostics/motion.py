@@ -324,9 +324,7 @@ def resonating(
         part = x[a:b]
         part = part - np.linspace(part[0], part[-1], part.size)
         size = fft.next_fast_len(2 * part.size, real=True)
-        f, spectrum = fft.rfftfreq(size, period), fft.rfft(part, size)
-        for row, resonance in zip(out, hertz, strict=True):
-            r = f / resonance
-            response = 1.0 / (1.0 - r**2 + 2j * damping * r) - 1.0
-            row[a:b] = fft.irfft(response * spectrum, size)[: part.size]
+        r = fft.rfftfreq(size, period) / np.array(hertz)[:, None]
+        response = 1.0 / (1.0 - r**2 + 2j * damping * r) - 1.0
+        out[:, a:b] = fft.irfft(response * fft.rfft(part, size), size)[:, : part.size]
     return out

@@ -193,6 +193,10 @@ class Regression:
     gradients: Mapping[str, Array]  # (d,) derivatives of each reported quantity by the parameters
     noise_seed: np.random.SeedSequence
     smoothed: str = ""  # shape of the low-pass before logging
+    # where outputs are no torque: torques (N, m) of the candidates, of which the columns are what
+    # they do to outputs, and these (n, m) with what the model's own terms make of them
+    torques: Array | None = None
+    effects_on_outputs: Array | None = None
     noise: Autocorrelation = field(init=False)
     included: list[Finding] = field(init=False, default_factory=list)
 
@@ -393,9 +397,11 @@ class Regression:
         return truncated_least_squares(white.with_candidates(columns), white.residual, size)
 
     def _share(self, columns: Sequence[int], coefficients: Array) -> float:
-        """Return the rms of a candidate's torque over that of all torque."""
-        torque = self.data.others[:, columns] @ coefficients
-        return rms(torque) / self.scales.torque
+        """Return the rms of a candidate's torque over that of all torque; 0 if it has none."""
+        torques = self.data.others if self.torques is None else self.torques
+        if max(columns) >= torques.shape[1]:
+            return 0.0
+        return rms(torques[:, columns] @ coefficients) / self.scales.torque
 
     def _collinear(self, effect: Finding, extra: Sequence[int], worth: Array) -> Iterator[str]:
         """List other kinds that explain as much or are collinear; none for disturbances."""
@@ -476,15 +482,21 @@ class Regression:
         base = basis_of(d.base)
         # a short effect is no larger for that; additional losses are as large as the model's
         losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in keys]
-        largest, highest = np.where(losses, self.scales.lost, self.scales.torque), self.data.others
-        highest = np.abs(highest).max(axis=0)
+        largest = np.where(losses, self.scales.lost, self.scales.torque)
+        highest, columns = np.zeros(len(keys)), d.others.copy()
+        if self.torques is None or self.effects_on_outputs is None:
+            highest, columns = np.abs(self.data.others).max(axis=0), self.data.others
+        else:  # a disturbance of outputs is no torque
+            highest[: self.torques.shape[1]] = np.abs(self.torques).max(axis=0)
+            columns[:, : self.torques.shape[1]] = self.effects_on_outputs
         nonzero = highest > np.finfo(np.float32).tiny  # of Stribeck friction far below all speeds
         size = np.divide(largest, highest, out=np.zeros_like(highest), where=nonzero)
-        columns, residual = self.data.others * size, project_out(base, d.residual)
+        columns, residual = columns * size, project_out(base, d.residual)
         cross, slopes, total, unit = projected_moments(base, d.others, residual)
         identified = unit > TESTABLE * total
         groups = [(k.kind, tuple(i)) for k, i in self.groups if not BY_NAME[k.kind].least]
-        groups += [(e.kind, tuple(e.columns)) for e in self.included if e.scan is not None]
+        scans = [e for e in self.included if e.scan is not None and size[list(e.columns)].all()]
+        groups += [(e.kind, tuple(e.columns)) for e in scans]
         # shapes between those of a grid
         groups += [(f"beside {k.kind}", (i,)) for i, k in enumerate(keys) if k.nuisance]
         kinds: dict[str, tuple[tuple[int, ...], ...]] = {}

@@ -98,18 +98,17 @@ class FittedModel:
                 squares += float(np.sum(problem.torque_error(x)[part] ** 2))
         return math.sqrt(squares / n)
 
+    def predicts_better(self, smaller: FittedModel, *, same: float = 1e-6) -> bool:
+        """Whether this larger model has the smaller left-out error, and identified new terms.
 
-def predicts_better(larger: FittedModel, smaller: FittedModel, *, same: float = 1e-6) -> bool:
-    """Whether a larger model has the smaller left-out error and its new terms are identified.
-
-    The 90 % interval of every new parameter that shapes a term, and of at least one other, must
-    exclude zero. A search may end the share ``same`` of an rms above its minimum.
-    """
-    forms = {name for name, row in QUANTITIES.items() if row.role == "form"}
-    names = {v.name for v in smaller.estimate.parameters}
-    new = [v for v in larger.estimate.parameters if v.name not in names]
-    shapes = [v.known for v in new if v.quantity in forms]
-    sizes = [v.known for v in new if v.quantity not in forms]
-    if not all(shapes) or (sizes and not any(sizes)):
-        return False
-    return larger.left_out_rms < (1.0 - same) * smaller.left_out_rms
+        The 90 % interval of every new parameter that shapes a term, and of at least one other, must
+        exclude zero. A search may end the share ``same`` of an rms above its minimum.
+        """
+        forms = {name for name, row in QUANTITIES.items() if row.role == "form"}
+        names = {v.name for v in smaller.estimate.parameters}
+        new = [v for v in self.estimate.parameters if v.name not in names]
+        shapes = [v.known for v in new if v.quantity in forms]
+        sizes = [v.known for v in new if v.quantity not in forms]
+        if not all(shapes) or (sizes and not any(sizes)):
+            return False
+        return self.left_out_rms < (1.0 - same) * smaller.left_out_rms

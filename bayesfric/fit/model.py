@@ -31,7 +31,6 @@ from bayesfric.estimates.methods import (
     EstimationInputs,
     FittedModel,
     estimate_by,
-    predicts_better,
 )
 from bayesfric.estimates.point_estimate import Estimate, Knowledge
 from bayesfric.estimates.trajectory import Trajectory, trajectory
@@ -40,14 +39,9 @@ from bayesfric.fit.saved_draws import flat_draws, read_draws, saved_fit
 from bayesfric.identifiability.identification import Identification, identify, speed_term
 from bayesfric.identifiability.local import estimate_point, local_information
 from bayesfric.inference.closed_loop import ClosedLoopLikelihood
+from bayesfric.inference.closed_loop_fit import ClosedLoopMode, closed_loop_mode
 from bayesfric.inference.discrepancy import discrepancy
-from bayesfric.inference.fitting import (
-    ClosedLoopMode,
-    Fit,
-    closed_loop_mode,
-    make_target,
-    target_of,
-)
+from bayesfric.inference.fitting import Fit, make_target, target_of
 from bayesfric.inference.fitting import fit as sample_posterior
 from bayesfric.inference.likelihood import LikelihoodMethod, TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
@@ -295,7 +289,8 @@ class Model:
             return Explanation(reason=reason)
         seed = self.config.tables.sampling.seed if seed is None else seed
         if self.method == "closed-loop":
-            mode = self._closed_loop_mode(progress)
+            progress(Progress("what else explains the motion"))
+            mode = self.closed_loop_mode
             return explain_closed_loop(mode.target, mode.parameters, seed)
         points = (estimate.point for estimate in estimates if estimate.point)
         point = next(points, None) or self.estimates(["input-error"], progress=progress)[0].point
@@ -316,6 +311,8 @@ class Model:
         See :func:`bayesfric.estimates.input_error.contradicted`.
         """
         e = self.evidence
+        if self.method == "closed-loop":  # the estimate of a law's torque is biased
+            return {}
         return contradicted(e.chain, e.observations, e.knowledge, e.options, start)
 
     def completed(
@@ -324,9 +321,9 @@ class Model:
         """Add effects that explain the torque, one after the other, until none is left.
 
         A term is kept if the model with it predicts held-out data better, see
-        :func:`bayesfric.estimates.methods.predicts_better`; else it is part of the model
-        discrepancy. A delay, which moves other parameters by much, is added only without rivals. A
-        fit does so with ``terms = "auto"`` under ``[mechanism]``.
+        :class:`bayesfric.estimates.methods.FittedModel`; else it is part of the model discrepancy.
+        A delay, which moves other parameters by much, is added only without rivals. A fit does so
+        with ``terms = "auto"`` under ``[mechanism]``.
 
         Returns
         -------
@@ -347,38 +344,33 @@ class Model:
             return self, (), self.explain()
         current = self._candidate(progress)
         while True:
-            if isinstance(current, ClosedLoopMode):
-                seed = self.config.tables.sampling.seed
-                remaining = explain_closed_loop(current.target, current.parameters, seed)
-            else:
-                remaining = model.explain([current.estimate], progress=progress)
+            estimates = [current.estimate] if isinstance(current, FittedModel) else []
+            remaining = model.explain(estimates, progress=progress)
             tried = {finding.hint for finding in included}
             candidates = [finding for finding in remaining.applicable if finding.hint not in tried]
             for finding in candidates[: MAX_EFFECTS - len(included)]:
                 if (trial := model._with_finding(finding)) is None:
                     continue
                 candidate = trial._candidate(progress)
-                if isinstance(current, ClosedLoopMode):
-                    assert isinstance(candidate, ClosedLoopMode)
-                    better = candidate.bic < current.bic
-                else:
-                    assert isinstance(candidate, FittedModel)
-                    better = predicts_better(candidate, current)
-                if better:
+                if candidate.predicts_better(current):
                     model, current = trial, candidate
                     included.append(finding)
                     break
             else:
                 return model, tuple(included), remaining
 
-    def _candidate(self, progress: ProgressCallback) -> FittedModel | ClosedLoopMode:
+    def _candidate(self, progress: ProgressCallback) -> Any:
+        """Return what :meth:`completed` compares: an estimate, or the mode of a closed loop."""
         if self.method == "closed-loop":
-            return self._closed_loop_mode(progress)
+            return self.closed_loop_mode
         return FittedModel(self.evidence, self.estimates(["input-error"], progress=progress)[0])
 
-    def _closed_loop_mode(self, progress: ProgressCallback) -> ClosedLoopMode:
-        start, seed = self.starting_point(progress=progress), self.config.tables.sampling.seed
-        return closed_loop_mode(start.target, start.estimates, seed, progress)
+    @cached_property
+    def closed_loop_mode(self) -> ClosedLoopMode:
+        """Mode of the posterior of a closed loop."""
+        return closed_loop_mode(
+            self._start.target, self._start.estimates, self.config.tables.sampling.seed
+        )
 
     def _with_finding(self, finding: Finding) -> Self | None:
         """Add a finding's setting; ``None`` if it conflicts with the configuration."""
@@ -448,8 +440,8 @@ class Model:
         estimate by the data alone ends at a gearbox that cannot be back-driven.
         """
         if self.method == "closed-loop":
-            mode = self._closed_loop_mode(progress)
             progress(Progress("identifiability"))
+            mode = self.closed_loop_mode
             return mode.target, mode.parameters
         method, evidence = self.method, self.evidence
         losses = {
@@ -652,26 +644,24 @@ class Model:
         # estimate
         start = model.starting_point(output_error=output_error, progress=progress)
         refuse_collinear_losses(config, model.chain, model.priors, start)
-        closed = model.method == "closed-loop"
-        if not closed:
-            explained = explained or model.explain(start.estimates, progress=progress)
+        explained = explained or model.explain(start.estimates, progress=progress)
         # sample
         settings = self.settings(seed)
         with config.named():
             fit = sample_posterior(
-                start.target, settings, estimates=start.estimates, progress=progress
+                start.target,
+                settings,
+                estimates=start.estimates,
+                closed_loop=model.closed_loop_mode if model.chain.closed_loop else None,
+                progress=progress,
             )
         if model.held_out:
             fit = replace(fit, held_out=predict_held_out(fit.target, fit.posterior, model.held_out))
         # examine and conclude
-        if closed:
-            progress(Progress("what else explains the motion"))
-            explained = explain_closed_loop(fit.target, fit.posterior.median, settings.seed)
-        assert explained is not None
         progress(Progress("model discrepancy"))
         errors = discrepancy(fit.target, fit.posterior, explained.missing)
         fit = replace(fit, discrepancy=errors)
-        contradicted = {} if closed else model.contradicted(dict(start.searched.point))
+        contradicted = model.contradicted(dict(start.searched.point))
         progress(Progress("identifiability"))
         summary = conclude(
             config,

@@ -26,7 +26,7 @@ from bayesfric.recordings.signals import Signals
 
 # Longest integration step, s, and times the fastest motion of the closed loop, 1/s: at .3 the
 # error of a Runge-Kutta step is a thousandth of a percent of it.
-_LONGEST, _STEP = 5e-3, 0.3
+_LONGEST, _STEP = 7e-3, 0.3
 # How far a prediction reaches that is to see nothing faster, s.
 HORIZON = 0.02
 _LOG_2PI = math.log(2.0 * math.pi)
@@ -56,7 +56,7 @@ class ClosedLoopLikelihood:
         self.recordings, self.stride = tuple(recordings), stride
         pairs = zip(self.recordings, self.observations, strict=True)
         self._steps = [_step(chain, r, o, point) for r, o in pairs]
-        self._used = [_used(r, stride) for r in recordings]
+        self.used = [_used(r, stride) for r in recordings]
         self._values, self._scales = point, np.full((len(recordings), 5), np.nan)
         unit = "rad" if chain.load.motion == "rotary" else "m"
         self.outputs = tuple(
@@ -70,7 +70,7 @@ class ClosedLoopLikelihood:
                 segment_of=(segment := _segment_of(r)[used]),
                 follows=np.diff(segment) == 0,
             )
-            for r, used in zip(recordings, self._used, strict=True)
+            for r, used in zip(recordings, self.used, strict=True)
         )
 
     def at(self, values: Array, scales: Array) -> ClosedLoopLikelihood:
@@ -84,6 +84,10 @@ class ClosedLoopLikelihood:
         return ClosedLoopLikelihood(
             self.chain, self.recordings, self.observations, self._values, stride
         ).at(self._values, self._scales)
+
+    def of(self, recordings: Sequence[Measurement], values: Array) -> ClosedLoopLikelihood:
+        """Return the likelihood of other readings, at parameters ``(n_parameters,)``."""
+        return ClosedLoopLikelihood(self.chain, recordings, self.observations, values, self.stride)
 
     @property
     def longer(self) -> int:
@@ -127,7 +131,7 @@ class ClosedLoopLikelihood:
                 time=recording.time,
                 step=self._steps[r],
             )
-            out.append((error[:, self._used[r]], variance[:, self._used[r]]))
+            out.append((error[:, self.used[r]], variance[:, self.used[r]]))
         return out
 
     def log_density(self, values: Array, scales: Array) -> Array:
@@ -154,6 +158,15 @@ class ClosedLoopLikelihood:
             np.concatenate([e / np.sqrt(s), 0.5 * np.log(s)], axis=1)
             for e, s in self.errors(values, scales)
         ]
+
+    def white_errors(self, values: Array, scales: Array) -> list[Array]:
+        """Return prediction errors over their sds ``(n, M)`` a recording."""
+        return [e / np.sqrt(s) for e, s in self.errors(values, scales)]
+
+    @property
+    def sizes(self) -> Array:
+        """Numbers of outputs ``(R,)`` of the recordings."""
+        return np.array([o.measured.size for o in self.outputs])
 
     def noise_sd(self, scales: Array) -> list[Array]:
         """Return sds ``(M,)`` of prediction errors a recording, at scales ``(R, 5)``."""

@@ -7,7 +7,6 @@ for the posterior's widths there, and sample.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,24 +17,23 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.estimates.least_squares import least_squares, starting_values, typical_sizes
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.inference.closed_loop import ClosedLoopLikelihood
+from bayesfric.inference.closed_loop_fit import ClosedLoopMode, closed_loop_mode, sample_closed_loop
 from bayesfric.inference.discrepancy import Discrepancy
-from bayesfric.inference.importance import (
-    EFFICIENT,
-    ENOUGH,
-    draw,
-    score,
-    slope_and_information,
-)
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES, Autoregressive, Noise, NoiseScale
 from bayesfric.inference.posterior import Posterior, Prediction
 from bayesfric.inference.priors import Prior, PriorText, default_prior, read_prior
 from bayesfric.inference.sampling import Sampling, sample
-from bayesfric.inference.start import CLIMBS, Start, climb, gauss_newton
+from bayesfric.inference.start import (
+    CLIMBS,
+    Start,
+    climb,
+    gauss_newton,
+    place_and_widths,
+    unwrapped,
+)
 from bayesfric.inference.target import Likelihood, Target
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.quantities import scales_with_torque
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.signals import Signals
 
@@ -191,19 +189,22 @@ def fit(
     sampling: Sampling,
     *,
     estimates: Sequence[Estimate] = (),
+    closed_loop: ClosedLoopMode | None = None,
     progress: ProgressCallback = no_progress,
 ) -> Fit:
     """Search the mode and sample; ``sampling.seed`` makes everything reproducible.
 
-    Estimates by simulation do not start a posterior of the torque: they may be cut off by the
-    clock.
+    The mode of a closed-loop likelihood may be known. Estimates by simulation do not start a
+    posterior of the torque: they may be cut off by the clock.
     """
     likelihood = target.likelihood
     if not estimates:
         estimates = (least_squares(likelihood.chain, likelihood.observations),)
     progress(Progress("searching the mode"))
     if likelihood.method == "closed-loop":
-        return _fit_closed_loop(target, sampling, estimates, progress)
+        closed = closed_loop or closed_loop_mode(target, estimates, sampling.seed, progress)
+        shaped, posterior = sample_closed_loop(closed, sampling, progress)
+        return Fit(shaped, posterior, tuple(estimates), faster=closed.faster)
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     simulating = {"output-error"} - {likelihood.method}
     starting_estimates = [e for e in estimates if e.method not in simulating]
@@ -232,10 +233,10 @@ def fit(
         ) from None
     # Once the posterior's widths are known, the sampler's coordinates can be used.
     normal = gauss_newton(target, mode, prior_places)
-    place, widths = _place_and_widths(target, normal)
+    place, widths = place_and_widths(target, normal)
     shaped = target.with_circular_cut_at(dict(zip(target.free, place, strict=False)))
     shaped = shaped.with_widths(widths)
-    prior_draws = _unwrapped(shaped, prior_draws)
+    prior_draws = unwrapped(shaped, prior_draws)
     start = gauss_newton(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
     )
@@ -247,183 +248,6 @@ def fit(
     except RuntimeError as error:
         raise BadInput("priors", str(error), "widen the narrowest ones") from None
     return Fit(shaped, posterior, tuple(estimates), linearisation=change)
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedLoopMode:
-    """Mode of a closed-loop posterior, and the horizon that it was chosen with."""
-
-    target: Target  # its likelihood refers to the mode
-    mode: Array  # (d,) coordinates
-    # shifts in sds from predictions of single readings to those of 20 ms, which are used
-    faster: Mapping[str, float]
-
-    @property
-    def parameters(self) -> Array:
-        """Parameters ``(d,)`` there."""
-        return np.asarray(self.target.to_parameters(self.mode[None])[0][0])
-
-    @property
-    def bic(self) -> float:
-        """Bayesian information criterion (Schwarz 1978)."""
-        outputs = sum(o.measured.size for o in self.target.likelihood.outputs)
-        height = float(self.target.log_likelihood(self.parameters[None])[0])
-        return self.mode.size * float(np.log(outputs)) - 2.0 * height
-
-
-def closed_loop_mode(
-    target: Target,
-    estimates: Sequence[Estimate],
-    seed: int,
-    progress: ProgressCallback = no_progress,
-    *,
-    largest: float = 3.5,
-) -> ClosedLoopMode:
-    """Find the mode of a closed-loop posterior, and how far its predictions reach.
-
-    What the model lacks at high frequency moves the estimate from single readings most. Where that
-    from predictions 20 ms ahead differs by more than ``largest`` standard deviations of the
-    difference, it is used, and the differences are given by name; with infinity it is not searched.
-    """
-    likelihood, rng = target.likelihood, np.random.default_rng(seed)
-    assert isinstance(likelihood, ClosedLoopLikelihood)
-    target = target.with_circular_cut_at(next(dict(e.point) for e in estimates if e.point))
-    prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
-    spread = _spread(target, prior_draws)
-
-    def climb_from(target: Target, u: Array) -> Array:
-        return score(target, u, spread, on_step=lambda _: progress(Progress("searching the mode")))
-
-    def at_mode(target: Target, mode: Array, faster: Mapping[str, float]) -> ClosedLoopMode:
-        return ClosedLoopMode(target.at(target.to_parameters(mode[None])[0][0]), mode, faster)
-
-    candidates = _closed_loop_candidates(target, estimates, prior_draws)
-    mode = climb_from(target, candidates[int(np.argmax(target(candidates)))])
-    if likelihood.longer == 1 or np.isinf(largest):
-        return at_mode(target, mode, {})
-    longer = copy(target)
-    longer.likelihood = likelihood.with_stride(likelihood.longer)
-    far = climb_from(longer, mode)
-    near, wide = (
-        np.diag(np.linalg.inv(slope_and_information(t, u, 1e-3 * spread)[1]))
-        for t, u in ((target, mode), (longer, far))
-    )
-    # the estimate of all readings is efficient if the model is right (Hausman 1978)
-    shift = (far - mode) / np.sqrt(np.maximum(wide - near, 0.1 * wide))
-    named = zip(target.free, shift.tolist(), strict=False)
-    shifts = {name: x for name, x in named if abs(x) > largest}
-    return at_mode(longer, far, shifts) if shifts else at_mode(target, mode, {})
-
-
-def _fit_closed_loop(
-    target: Target, sampling: Sampling, estimates: Sequence[Estimate], progress: ProgressCallback
-) -> Fit:
-    """Search the mode by Fisher scoring, choose the horizon, and draw by importance."""
-    at_mode = closed_loop_mode(target, estimates, sampling.seed, progress)
-    target, place, k = at_mode.target, at_mode.parameters, len(target.free)
-    rng = np.random.default_rng(sampling.seed)
-    prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
-    steps = 1e-3 * _spread(target, prior_draws)
-    _, information = slope_and_information(target, at_mode.mode, steps)
-    _, widths = _place_and_widths(
-        target, Start(at_mode.mode, np.asarray(np.linalg.inv(information)))
-    )
-    # the likelihood is near normal in the parameters, and in the logarithms of the noise
-    widths[k:] = np.nan
-    scaled, by = _scaled_by_gain(target)
-    if scaled:  # straight, up to its bounds
-        span = target.priors[by].upper - target.priors[by].lower
-        widths[by] = min(widths[by], 0.05 * span)
-    shaped = target.with_widths(widths)
-    centre = shaped.from_parameters(place[None])[0]
-    steps = np.concatenate([0.05 * widths[:k], np.full(widths.size - k, 0.05)])
-    _, information = slope_and_information(shaped, centre, steps)
-    if scaled:  # all of them over the gain may be all that is determined
-        information[by, by] += target.priors[by].sd() ** -2
-    start = Start(centre, np.asarray(np.linalg.inv(information)))
-    posterior, share = draw(shaped, start, sampling.seed, scaled=(scaled, by), progress=progress)
-    if share < EFFICIENT:
-        reduced = {"ensembles": 2, "min_ess": float(ENOUGH), "max_steps": 2000}
-        posterior = sample(shaped, start, sampling.model_copy(update=reduced), progress=progress)
-    posterior = replace(posterior, draws=_with_loop_doubt(shaped, posterior, rng))
-    return Fit(shaped, posterior, tuple(estimates), faster=at_mode.faster)
-
-
-def _scaled_by_gain(target: Target) -> tuple[list[int], int]:
-    """Return indices of free parameters that scale with an unknown kp, and its own."""
-    if "drive.kp" not in target.free:
-        return [], 0
-    by, parameters = target.free.index("drive.kp"), target.likelihood.chain.parameters
-    units = {p.name: p.unit for p in parameters}
-    scaled = [j for j, n in enumerate(target.free) if scales_with_torque(units[n]) and j != by]
-    return scaled, by
-
-
-def _with_loop_doubt(
-    target: Target, posterior: Posterior, rng: np.random.Generator, *, size: float = 5e-4
-) -> Array:
-    """Add to draws what an unknown loop period T and lag of the drive's speed take away.
-
-    That is kp T/2 of viscous loss and kd (T/2 + lag) of inertia. Both are half normal of ``size``
-    s: a drive for joints closes its loop a thousand times a second, or more often.
-    """
-    likelihood, draws = target.likelihood, posterior.draws.copy()
-    assert isinstance(likelihood, ClosedLoopLikelihood)
-    chain, law = likelihood.chain, likelihood.recordings[0].law
-    assert law is not None
-    shape, flat = draws.shape[:-1], draws.reshape(-1, draws.shape[-1])
-    factor, more = chain.drive_gains(target.chain_values(flat))
-    scale = float(law.scale.mean())
-    back, lag = (
-        size * np.abs(rng.standard_normal(len(flat))) * (known is None)
-        for known in (law.loop, law.velocity_filter)
-    )
-    lost = {
-        "viscous": scale * factor * law.kp * back / 2.0,
-        "inertia": scale * (law.kd + more) * (back / 2.0 + lag),
-    }
-    for quantity, torque in lost.items():
-        owners = [n.rpartition(".")[0] for n in target.free if n.rpartition(".")[2] == quantity]
-        if owners:
-            reach = chain.reaches[owners[0]]
-            column = target.names.index(f"{owners[0]}.{quantity}")
-            flat[:, column] += torque * chain.ratio / reach**2
-    return flat.reshape(*shape, -1)
-
-
-def _spread(target: Target, prior_draws: Array) -> Array:
-    """Spread ``(d,)`` of the priors in coordinates."""
-    with np.errstate(all="ignore"):
-        low, high = np.nanquantile(target.from_parameters(prior_draws), [0.16, 0.84], axis=0)
-    return np.asarray(np.maximum((high - low) / 2.0, 1e-12))
-
-
-def _closed_loop_candidates(
-    target: Target, estimates: Sequence[Estimate], prior_draws: Array
-) -> Array:
-    """Return starting coordinates ``(n, d)``: estimates, and others of delay, inertia and loss.
-
-    The torque of a control law is late and noisy: its estimate has too small an inertia where the
-    encoder is coarse, and takes a delay for a viscous loss.
-    """
-    k = len(target.free)
-    points = [dict(e.point) for e in estimates if e.point]
-    rows = _unwrapped(target, np.array([[p[name] for name in target.free] for p in points]))
-    assert isinstance(target.likelihood, ClosedLoopLikelihood)
-    periods = max(r.period for r in target.likelihood.recordings) * np.arange(5)
-    changes = {"delay": periods, "inertia": np.array([3.0]), "viscous": np.array([0.2])}
-    for quantity, values in changes.items():
-        columns = [j for j, n in enumerate(target.free) if n.rpartition(".")[2] == quantity]
-        if columns:
-            others = np.repeat(rows, len(values), axis=0)
-            change = np.tile(values, len(rows))[:, None]
-            others[:, columns] = change if quantity == "delay" else others[:, columns] * change
-            rows = np.concatenate([rows, others])
-    low, *noises, high = np.quantile(prior_draws, [0.002, 0.5, 0.84, 0.975, 0.998], axis=0)
-    rows = np.unique(np.clip(rows, low[:k], high[:k]), axis=0)
-    # with little noise what is wrong of a start is far too certain
-    starts = [np.column_stack([rows, np.tile(noise[k:], (len(rows), 1))]) for noise in noises]
-    return target.from_parameters(np.concatenate(starts))
 
 
 def _searched_mode(
@@ -458,21 +282,6 @@ def _precomputed(target: Target, start: Start, rng: np.random.Generator) -> Targ
     return target.precomputed(start.mode + rng.standard_normal((300, start.mode.size)) @ root.T)
 
 
-def _place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:
-    """Convert a normal in coordinates to parameters: centre and standard deviations, ``(d,)``."""
-    spread = np.sqrt(np.diag(start.covariance))
-    sds = np.diag(np.minimum(spread, 1.0 + np.abs(start.mode)))
-    centre, up, down = (
-        target.to_parameters(u)[0] for u in (start.mode[None], start.mode + sds, start.mode - sds)
-    )
-    # a gearbox' coordinates mix parameters
-    change = (up - down) / 2.0
-    correlation = start.covariance / np.outer(spread, spread)
-    widths = np.sqrt(np.einsum("ij,ik,kj->j", change, correlation, change).clip(0.0))
-    widths = np.where(np.isfinite(widths), widths, np.abs(centre[0]))
-    return centre[0], np.maximum(widths, 1e-12 * np.abs(centre[0]) + 1e-300)
-
-
 def _starting_points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, float]]:
     """Return starting points by name: estimates, and splits of base parameters.
 
@@ -492,12 +301,6 @@ def _starting_points(target: Target, estimates: Sequence[Estimate]) -> list[dict
     return points
 
 
-def _unwrapped(target: Target, parameters: Array) -> Array:
-    """Unwrap angles of parameters ``(n, d)`` or ``(n, free)`` to their priors' turn."""
-    columns = zip(target.priors, parameters.T, strict=False)
-    return np.stack([prior.turned(column) for prior, column in columns], axis=1)
-
-
 def _candidates(
     target: Target,
     estimates: Sequence[Estimate],
@@ -510,7 +313,7 @@ def _candidates(
     """
     likelihood = target.likelihood
     k = len(target.free)
-    rows = _unwrapped(target, np.array([[p[name] for name in target.free] for p in points]))
+    rows = unwrapped(target, np.array([[p[name] for name in target.free] for p in points]))
     # a start on a bound has no finite coordinates
     inner = np.quantile(prior_draws, [0.002, 0.998], axis=0)
     for j, prior in enumerate(target.priors[:k]):

@@ -48,6 +48,27 @@ class Start:
         raise RuntimeError("no start of non-zero probability beside the posterior's mode")
 
 
+def place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:
+    """Convert a normal in coordinates to parameters: centre and standard deviations, ``(d,)``."""
+    spread = np.sqrt(np.diag(start.covariance))
+    sds = np.diag(np.minimum(spread, 1.0 + np.abs(start.mode)))
+    centre, up, down = (
+        target.to_parameters(u)[0] for u in (start.mode[None], start.mode + sds, start.mode - sds)
+    )
+    # a gearbox' coordinates mix parameters
+    change = (up - down) / 2.0
+    correlation = start.covariance / np.outer(spread, spread)
+    widths = np.sqrt(np.einsum("ij,ik,kj->j", change, correlation, change).clip(0.0))
+    widths = np.where(np.isfinite(widths), widths, np.abs(centre[0]))
+    return centre[0], np.maximum(widths, 1e-12 * np.abs(centre[0]) + 1e-300)
+
+
+def unwrapped(target: Target, parameters: Array) -> Array:
+    """Unwrap angles of parameters ``(n, d)`` or ``(n, free)`` to their priors' turn."""
+    columns = zip(target.priors, parameters.T, strict=False)
+    return np.stack([prior.turned(column) for prior, column in columns], axis=1)
+
+
 def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     """Approximate the posterior at ``mode`` ``(d,)`` by a normal, without bounds.
 

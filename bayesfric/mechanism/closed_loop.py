@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from bayesfric.mechanism.forward import forward_tables, possible
 from bayesfric.mechanism.integrate import (
@@ -45,13 +46,15 @@ class _Drive(NamedTuple):
 
     command: Array  # (N,) kp times the target, or a command where the drive does not look
     factor: float  # by which the vector multiplies it
+    bends: Array  # (N,) second derivative of the spline through it, per squared sample
     scale: Array  # (N,)
     on: Array  # (N,) 1 where the drive gives a torque, else 0
     kp: float
     kd: float
     limit: float
     back_emf: float
-    held: bool  # whether a command is held until the next; else linear
+    held: bool  # whether a command is held until the next
+    smoothness: float  # else how it passes there: 0 in a line, 1 in a cubic spline
     delay: float  # by which it acts late on its target, samples
     period: float  # s
     time: Array  # (N,) s
@@ -66,7 +69,7 @@ class _Loop(NamedTuple):
     carried: Carried | None
     valid: Flags  # (n,)
     drive: _Drive  # the gains are those of no vector
-    gains: Array  # (n, 4) factor of the command, kp, kd, delay in samples
+    gains: Array  # (n, 5) factor of the command, kp, kd, delay in samples, smoothness
     # coefficients (n, c) of the load's inertia and torque (c, 2, N) by further columns
     weights: Array
     columns: Array
@@ -77,6 +80,7 @@ def _loop(
     vectors: Array,
     law: Law,
     period: float,
+    segments: Index,
     inputs: Inputs,
     time: Array | None,
     step: float,
@@ -97,11 +101,15 @@ def _loop(
         np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on)
     )
     late = joint.delays(vectors) / period if joint.by_target and law.closed else 0.0 * factor
-    gains = np.stack([factor, kp, kd - back * kp, late], axis=1)
-    limit, back_emf = float(law.limit), float(law.back_emf)
-    drive = _Drive(
-        command, 1.0, scale, on, 0.0, 0.0, limit, back_emf, law.held, 0.0, period, time, step
-    )
+    smoothness = joint.smoothnesses(vectors) * (law.held is None)
+    gains = np.stack([factor, kp, kd - back * kp, late, smoothness], axis=1)
+    limit, back_emf, held = float(law.limit), float(law.back_emf), bool(law.held)
+    bends = np.zeros_like(command)
+    for a, b in segments if joint.smoothness else ():
+        places = np.arange(b - a)
+        bends[a:b] = CubicSpline(places, command[a:b], bc_type="natural")(places, 2)
+    gains_of_none = 0.0, 0.0, limit, back_emf, held, 0.0, 0.0
+    drive = _Drive(command, 1.0, bends, scale, on, *gains_of_none, period, time, step)
     least = load.copy()
     least[:, LOAD_INERTIA] += (weights @ columns[:, 0]).min(axis=1)
     valid = possible(joint, vectors, elements, least)
@@ -113,6 +121,7 @@ def _with_gains(drive: _Drive, gains: Array) -> _Drive:
     return _Drive(
         drive.command,
         gains[0],
+        drive.bends,
         drive.scale,
         drive.on,
         gains[1],
@@ -120,6 +129,7 @@ def _with_gains(drive: _Drive, gains: Array) -> _Drive:
         drive.limit,
         drive.back_emf,
         drive.held,
+        gains[4],
         gains[3],
         drive.period,
         drive.time,
@@ -145,9 +155,10 @@ def _command(drive: _Drive, first: int, last: int, place: float, held_at: float)
     place = min(max(place, float(first)), float(last))
     i = min(int(place), max(last - 1, first))
     j = min(i + 1, last)
-    return drive.factor * float(
-        drive.command[i] + (place - i) * (drive.command[j] - drive.command[i])
-    )
+    u, x = drive.command, place - i
+    bend = (2.0 - x) * drive.bends[i] + (1.0 + x) * drive.bends[j]
+    y = u[i] + x * (u[j] - u[i]) - drive.smoothness * x * (1.0 - x) / 6.0 * bend
+    return drive.factor * float(y)
 
 
 @njit(cache=True, error_model="numpy")
@@ -174,7 +185,8 @@ def _over_sample(
     j = min(i + 1, drive.scale.shape[0] - 1)
     inertia = 0.5 * (of_load[0, i] + of_load[0, j])
     pull = 0.5 * (of_load[1, i] + of_load[1, j])
-    knot = drive.delay - math.floor(drive.delay)  # where the target changes
+    # where a held target changes; what passes between samples bends there, which a mean allows for
+    knot = drive.delay - math.floor(drive.delay) if drive.held else 0.0
     for part in range(2):
         a, b = (0.0, knot) if part == 0 else (knot, 1.0)
         if b - a < _SHORT:
@@ -196,6 +208,12 @@ def _over_sample(
                 if regime == 0.0:
                     scale = 0.5 * (scale0 + scale1)
                     stiffness, damping = scale * drive.kp, damping + scale * drive.kd
+                    if not drive.held:  # a line of the curve's mean (Simpson's rule)
+                        c = _command(
+                            drive, first, last, i + 0.5 * (now + end) - drive.delay, middle
+                        )
+                        c = 2.0 / 3.0 * (c - 0.5 * (c0 + c1))
+                        c0, c1 = c0 + c, c1 + c
                 else:
                     c0 = c1 = regime * drive.limit
                 torque[0] = on * scale0 * c0 + push + now * push_rate
@@ -250,11 +268,12 @@ def follow(
     ``(n, N)``.
     """
     vectors = np.ascontiguousarray(values, dtype=np.float64)
+    pieces = np.asarray(segments, dtype=np.int64)
     rows = np.zeros((1, law.command.size)) if push is None else push
     q, qd = _follow(
-        *_loop(joint, vectors, law, float(period), inputs, time, float(step)),
+        *_loop(joint, vectors, law, float(period), pieces, inputs, time, float(step)),
         np.ascontiguousarray(rows, dtype=np.float64),
-        np.asarray(segments, dtype=np.int64),
+        pieces,
         np.asarray(q0, dtype=np.float64),
         np.asarray(qd0, dtype=np.float64),
     )
@@ -350,12 +369,13 @@ def innovations(
         and one where no reading is compared, NaN where a motion is impossible.
     """
     vectors = np.ascontiguousarray(values, dtype=np.float64)
+    pieces = np.asarray(segments, dtype=np.int64)
     rows = np.broadcast_to(0.0 if push is None else push, (len(vectors), position.size))
     error, variance = _innovations(
-        *_loop(joint, vectors, law, float(period), inputs, time, float(step)),
+        *_loop(joint, vectors, law, float(period), pieces, inputs, time, float(step)),
         np.ascontiguousarray(noise, dtype=np.float64),
         np.ascontiguousarray(rows, dtype=np.float64),
-        np.asarray(segments, dtype=np.int64),
+        pieces,
         np.ascontiguousarray(position, dtype=np.float64),
         compared,
         float(resolution) / math.sqrt(12.0),

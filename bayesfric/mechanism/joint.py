@@ -76,6 +76,7 @@ class Joint:
     kd: bool = False  # whether its gain for the speed is unknown (drive.kd)
     delay: bool | None = None  # whether the position's delay is unknown (drive.delay)
     by_target: bool = False  # torque from a position target, whose delay it is (target.delay)
+    smoothness: bool = False  # whether a target's passage between samples is (target.smoothness)
     # whether torques of the load by further columns have columns of their inertia, too
     own_inertia: bool = False
     made_from: str = ""  # name of the preset
@@ -153,6 +154,9 @@ class Joint:
             for name, unknown in (("kp", self.kp), ("kd", self.kd))
             if unknown
         ]
+        if self.smoothness:
+            shape = parameter("drive", QUANTITIES["smoothness"], motion, "")
+            parameters.append(replace(shape, name="target.smoothness"))
         if self.delay and self.by_target:
             late = parameter("drive", LATE_TARGET, motion, "")
             parameters.append(replace(late, name="target.delay"))
@@ -179,6 +183,11 @@ class Joint:
         """Return the delay ``(n,)`` of parameter vectors ``(n, n_parameters)``, s; 0 without."""
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))
+
+    def smoothnesses(self, values: Array) -> Array:
+        """Return how targets pass between samples ``(n,)``; 0, in a line, where it is known."""
+        name = "target.smoothness"
+        return values[:, self.names.index(name)] if self.smoothness else np.zeros(len(values))
 
     @property
     def closed_loop(self) -> bool:

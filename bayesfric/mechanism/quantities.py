@@ -421,6 +421,13 @@ QUANTITIES: dict[str, Quantity] = {
             role="form", slots=(), spread=lambda s: s.torque / s.speed, start=0.0,
             measurand="constant",
         ),
+        # a target that is held until the next is one half, half a sample late
+        Quantity(
+            "smoothness", _NONE, "s",
+            "how the target passes between samples: 0 in a line, 1 in a smooth curve",
+            role="form", slots=(), lower=-_INF, spread=lambda _: 1.0, start=0.5,
+            measurand="constant",
+        ),
         # with a late position the torque of earlier on is recorded
         Quantity(
             "delay", ("s", "s"), r"\delta",

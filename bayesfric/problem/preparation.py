@@ -63,6 +63,9 @@ def prepare(
     if chain.by_target and chain.delay is None:
         # drives react late to their target, which looks like viscous friction
         chain = replace(chain, delay=True)
+    laws = [r.law for r in measurements if r.law is not None]
+    if chain.closed_loop and any(law.held is None for law in laws):
+        chain = replace(chain, smoothness=True)
     chain, ranges = _with_unknown_gains(config, chain, measurements)
     texts = {**ranges, **config.priors}
     with config.named():

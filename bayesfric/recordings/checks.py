@@ -10,16 +10,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import (
-    Array,
-    Flags,
-    Index,
-    Segments,
-    near,
-    rms,
-    runs,
-    without_excluded,
-)
+from bayesfric.recordings import arrays
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, rms, runs
 from bayesfric.recordings.filters import finest_step, lay_windows
 from bayesfric.recordings.measurement import Measurement
 
@@ -36,10 +28,7 @@ def check_moves(values: Array, where: str, signal: str) -> None:
 
 
 def clipped(values: Array, signal: str, *, least: float = 0.01, run: int = 4) -> list[str]:
-    """Warn of limits of a raw signal at which a share ``least`` of the samples lie.
-
-    Shorter runs than ``run`` are expected in a quantised signal.
-    """
+    """Warn of limits of a raw signal where a share ``least`` lies, in runs of ``run`` or more."""
     ends = {float(values.max()), float(values.min())}
     # a value below half of the largest is an idle drive, not a limited one
     limits = [end for end in sorted(ends) if 2 * abs(end) >= max(map(abs, ends))]
@@ -48,12 +37,9 @@ def clipped(values: Array, signal: str, *, least: float = 0.01, run: int = 4) ->
         return []
     if signal == "voltage" and np.unique(values).size < 4:  # switched
         return []
-    part = "all" if share == len(values) else f"{100 * share / len(values):.2g} % of the"
-    return [
-        f"{signal}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for "
-        f"{part} samples; does the drive or sensor saturate there? A drive that "
-        "gives no more is measured right; of a sensor leave those seconds out (exclude)"
-    ]
+    text = f"{signal}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for"
+    text += f" {100 * share / len(values):.2g} % of the samples; where a sensor saturates there"
+    return [f"{text}, exclude those seconds; a drive that gives no more is measured right"]
 
 
 def quantisation(values: Array) -> float | None:
@@ -66,10 +52,10 @@ def quantisation(values: Array) -> float | None:
 
 
 def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, int]:
-    """Undo the jumps of a counter ``(n,)``, NaN in holes; returns where it wraps, and their number.
+    """Undo the jumps of a counter ``(n,)``, NaN in holes; returns where it wraps, and how often.
 
-    It wraps at a ``turn``, whole numbers at 2^8 to 2^32, or where it jumps against its motion; what
-    covers more is unwrapped already. Jumps that remain have no modulus (0).
+    It wraps at a ``turn``, whole numbers at 2^8 to 2^32, or where it jumps against its motion.
+    Jumps that remain have no modulus (0).
     """
     at = np.flatnonzero(np.isfinite(values))
     steps, rows = np.diff(values[at]), np.diff(at)
@@ -109,17 +95,14 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
 def failed_reads(values: Array, longest: int | None) -> tuple[Flags, float]:
     """Flag rows ``(n,)`` of failed reads, up to ``longest`` in a row; returns also their value.
 
-    A bus whose motor gives no reply leaves zeros between values that are far from zero, or a whole
-    number further from all others than these lie from each other.
+    Zeros between values far from zero, or a whole number further from all others than these lie
+    from each other.
     """
     at = np.flatnonzero(np.isfinite(values))
-    levels = np.unique(values[at])
-    codes = [0.0]
-    if levels.size > 3:
-        ends = ((levels[0], levels[1:]), (levels[-1], levels[:-1][::-1]))
-        codes += [x for x, rest in ends if abs(x - rest[0]) > np.ptp(rest) and x == np.round(x)]
-    flags = np.zeros(values.size, dtype=np.bool_)
-    for code in codes[::-1]:
+    levels, flags = np.unique(values[at]), np.zeros(values.size, dtype=np.bool_)
+    ends = ((levels[0], levels[1:]), (levels[-1], levels[-2::-1])) if levels.size > 3 else ()
+    codes = [x for x, rest in ends if abs(x - rest[0]) > np.ptp(rest) and x == np.round(x)]
+    for code in (*codes[::-1], 0.0):
         shifted = values[at] - code
         failed = [x for x in runs(shifted == 0.0) if longest is None or x[1] - x[0] <= longest]
         # one row may be a shock
@@ -142,10 +125,7 @@ def failed_reads(values: Array, longest: int | None) -> tuple[Flags, float]:
 
 
 def sign_code(values: Array) -> tuple[str, int, str] | None:
-    """Return key and bit that decode whole numbers ``(n,)``, NaN in holes, which jump otherwise.
-
-    Their highest bit is then their sign. Returns what shows it, too.
-    """
+    """Return key and bit that decode whole numbers ``(n,)`` with a sign bit, and what shows it."""
     values = values[np.isfinite(values)]
     highest = float(values.max(initial=0.0))
     if values.min(initial=0.0) < 0.0 or highest < 2.0 or np.any(values != np.round(values)):
@@ -170,10 +150,7 @@ def sign_code(values: Array) -> tuple[str, int, str] | None:
 
 
 def unsigned(values: Array, position: Array, where: str) -> list[str]:
-    """Warn of a magnitude: never negative, back from zero again and again, and without power.
-
-    A drive that pushes one way only loses power to friction, or does not come back to zero.
-    """
+    """Warn of a magnitude: never negative, back from zero again and again, and without power."""
     size = float(np.quantile(np.abs(values), 0.95))
     folds = runs(values <= 0.05 * size)
     directions = np.sign(np.diff(position, append=position[-1]))
@@ -181,9 +158,8 @@ def unsigned(values: Array, position: Array, where: str) -> list[str]:
     rests = np.mean(values[1:] == 0.0) > 0.2
     if values.min() < 0.0 or turns < 2 or len(folds) < 3 or rests:
         return []
-    power = float(np.mean(values * np.diff(position, append=position[-1])))
-    through = float(np.mean(np.abs(values * np.diff(position, append=position[-1]))))
-    if abs(power) > 0.1 * through:
+    power = values * np.diff(position, append=position[-1])
+    if abs(power.mean()) > 0.1 * np.abs(power).mean():
         return []
     return [f"{where}: never negative: a magnitude; record its sign"]
 
@@ -191,9 +167,8 @@ def unsigned(values: Array, position: Array, where: str) -> list[str]:
 def fresh_rows(signals: Sequence[Array]) -> tuple[Index, Flags, int] | None:
     """Return the rows of signals ``(n,)`` with new values, if values are held over several rows.
 
-    Also flags of these rows, and over how many values are held. Values that repeat by chance do so
-    in one signal at a time; held ones change together. Where they last twice as long, at a
-    standstill or where a drive does not answer, rows remain at the same pace, with a flag.
+    Also flags of these rows, and over how many values are held. Held values change together, others
+    repeat by chance. Where they last twice as long rows remain at the same pace, with a flag.
     """
     changes = np.array([np.append(True, np.diff(x) != 0.0) for x in signals])
     together, new = changes.all(axis=0), changes.any(axis=0)
@@ -209,11 +184,10 @@ def fresh_rows(signals: Sequence[Array]) -> tuple[Index, Flags, int] | None:
 
 
 def own_rows(values: Array, time: Array) -> tuple[Index, str] | None:
-    """Return the rows that measure a signal ``(n,)``, if others repeat them or lie between them.
+    """Return the rows that measure a signal ``(n,)``, if others hold a value or lie between.
 
-    Others hold the value before, or lie on a line to the next one, as where signals of several
-    rates were brought to the stamps of all. Unlike steps of an encoder or commands, measured rows
-    come at one pace, differ in many sizes, and each by less than the signal varies.
+    Unlike steps of an encoder or commands, measured rows come at one pace, differ in many sizes,
+    and each by less than the signal varies.
     """
     finest = finest_step(values)
     slopes = np.diff(values) / np.diff(time)
@@ -242,8 +216,7 @@ def own_rows(values: Array, time: Array) -> tuple[Index, str] | None:
 def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
     """Flag the samples whose speed is not below the dead zone, nor near a standstill.
 
-    The low-pass smears a standstill over ``guard`` samples past its ends. As many slow samples in a
-    row are a standstill, fewer a reversal.
+    The low-pass smears that over ``guard`` samples; as many slow ones in a row are a standstill.
     """
     moving = np.abs(qd) >= dead_zone
     still = resting(qd, segments, dead_zone, guard)
@@ -252,16 +225,13 @@ def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) 
 
 def too_slow(limit: str = "the dead zone") -> str:
     """Say why outputs are left out for their speed."""
-    return (
-        f"at joint speeds below {limit}, as at rest or where it turns round, or filtered together "
-        "with such samples"
-    )
+    return f"at joint speeds below {limit}, or filtered together with such samples"
 
 
 def resting(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
     """Flag samples below the dead zone, ``guard`` or more in a row."""
     flags = np.zeros(len(qd), dtype=np.bool_)
-    for a, b in without_excluded(segments, np.abs(qd) >= dead_zone):
+    for a, b in arrays.without_excluded(segments, np.abs(qd) >= dead_zone):
         flags[a:b] = b - a >= guard
     return flags
 
@@ -278,10 +248,9 @@ class Rest:
 def standstill_samples(
     position: Array, segments: Segments, least: int, *, uneven: float = 0.05
 ) -> Flags:
-    """Flag samples ``(N,)`` of runs of ``least`` or more within one encoder step.
+    """Flag samples ``(N,)`` of runs of ``least`` or more within one encoder step, ±1 count.
 
-    The step is the finest between positions that are read twice in a row: where a recording was
-    resampled, others lie between two steps. Allows ±1 count of jitter at standstill.
+    The step is the finest between positions read twice in a row: resampled ones lie between steps.
     """
     flags = np.zeros(position.size, dtype=np.bool_)
     rounding = 1e-9 * float(np.abs(position).max(initial=0.0))
@@ -299,25 +268,15 @@ def standstill_samples(
 
 
 def standstill_outputs(
-    recording: Measurement,
-    torque: Array,
-    still: Flags,
-    taps: Array,
-    factor: int,
-    guard: int,
-    *,
-    max_outputs: int = 200,
+    recording: Measurement, torque: Array, still: Flags, taps: Array, factor: int, guard: int
 ) -> Rest | None:
-    """Lay windows over standstills, ``guard`` samples off their ends; ``None`` where none fits.
-
-    ``torque`` is filtered as for outputs in motion. More than ``max_outputs``, which are evenly
-    spaced, hold no more information.
-    """
+    """Lay windows over standstills, ``guard`` samples off their ends; ``None`` where none fits."""
     inner = tuple((a + guard, b - guard) for a, b in runs(still) if b - a > 2 * guard)
     windows = lay_windows(taps, inner, factor, np.ones(still.size, dtype=np.bool_))
     if windows.n_outputs == 0:
         return None
-    chosen = np.unique(np.linspace(0, windows.n_outputs - 1, max_outputs).astype(int))
+    # more than 200, evenly spaced, hold no more information
+    chosen = np.unique(np.linspace(0, windows.n_outputs - 1, 200).astype(int))
     centres = windows.centres[chosen]
     torque = windows.apply(torque)[chosen]
     return Rest(recording.position[centres], torque, recording.time[centres])
@@ -331,8 +290,8 @@ def speed_mismatch(
 ) -> tuple[float | None, float | None]:
     """Compare a measured velocity with the differentiated position, with the same filter.
 
-    Returns their ratio where it differs from one by 10 % or more, 0 where they are unrelated; and
-    the delay, s, of the velocity, where that explains half or more of what the two differ by.
+    Returns their ratio where it is off by 10 % or more, 0 where they are unrelated; and the delay,
+    s, of the velocity, where that explains half of what the two differ by.
     """
     at, late = np.flatnonzero(usable), None
     furthest = min(round(longest / period), at.size // 10)
@@ -363,13 +322,9 @@ def speed_mismatch(
 
 def between(factor: float) -> str:
     """Name the units that a factor lies between; empty for none."""
-    confused = {
-        "deg and rad": 180.0 / np.pi,
-        "rpm and rad/s": 30.0 / np.pi,
-        "turn and rad": 2.0 * np.pi,
-        "rpm and deg/s": 6.0,
-        "thousandths and whole": 1e3,
-    }
+    pi = np.pi
+    confused = {"deg and rad": 180 / pi, "rpm and rad/s": 30 / pi, "turn and rad": 2 * pi}
+    confused |= {"rpm and deg/s": 6.0, "thousandths and whole": 1e3}
     size = max(abs(factor), 1.0 / abs(factor)) if factor else 0.0
     named = (words for words, times in confused.items() if abs(size / times - 1.0) < 0.02)
     return next((f" (the factor between {words})" for words in named), "")
@@ -378,10 +333,9 @@ def between(factor: float) -> str:
 def feedback(
     torque: Array, position: Array, velocity: Array, usable: Flags, *, least_samples: int = 50
 ) -> tuple[Feedback, float] | None:
-    """Detect a torque that a controller computes from the motion by a simple law.
+    """Detect a torque that follows the motion by a simple law, which hides friction or gravity.
 
-    The joint's friction or gravity is then not identified. Returns the law, and the share of the
-    samples or of the torque's variance that it explains.
+    Returns the law, and the share of the samples or of the torque's variance that it explains.
     """
     t, q, v = torque[usable], position[usable], velocity[usable]
     if t.size < least_samples or not np.ptp(t) > 0.0:
@@ -410,8 +364,7 @@ def target_fault(
 ) -> tuple[str, str] | None:
     """Say why a position ``(n,)`` cannot follow a target ``(n,)``, and what to do.
 
-    A position comes after its target, is about as large, and moves the same way; ``used`` are the
-    samples at which the drive is on.
+    It comes after the target, is about as large, and moves the same way where ``used``.
     """
     if not np.ptp(target):
         return "never moves", "record a motion, or name the column of targets"

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -15,13 +15,11 @@ from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
 from bayesfric.recordings.measurement import Lag, Measurement, Signal
 
-# Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
-# both measurement and model, and the others for more; but a kink of the acceleration also affects
-# the samples next to them, so few should be missing.
+# Largest share of a window's weight on unusable samples, which count for nothing in measurement and
+# model. A kink of the acceleration also affects the samples next to them, so few should be missing.
 SMALL_SHARE, LARGE_SHARE = 0.02, 1 / 3
 # Cut-off of the parallel filter over half the decimated rate at which white noise comes out white
-# (correlations of outputs below 0.003 for any factor). At that half itself neighbours had
-# 0.10, the next -0.07, and intervals from thousands of outputs came out 5 % too narrow.
+# (correlations of outputs below 0.003). At that half itself intervals were 5 % too narrow.
 _WHITE = 1.0983
 # The most that rounding to whole samples makes of it, where 1.5 are rounded to 2 (neighbours then
 # have -0.2); and the least that is not warned of, where they have 0.3.
@@ -39,8 +37,8 @@ Reason = Literal["sampling", "position", "torque", "length", "model", "asked"]
 def check_cutoff(cutoff: float, fs: float, where: str) -> None:
     """Refuse a cut-off in Hz that the sampling cannot carry; ``where`` is the key that set it."""
     if not 1e-6 * fs <= cutoff < fs / 2:
-        problem = f"the cut-off {cutoff:.6g} Hz is not between {1e-6 * fs:.2g} Hz and half the "
-        problem += f"sampling rate ({fs / 2:.6g} Hz)"
+        problem = f"{cutoff:.6g} Hz is not below half the sampling rate ({fs / 2:.6g} Hz)"
+        problem = problem if cutoff >= 1e-6 * fs else f"{cutoff:.6g} Hz is too low"
         raise BadInput(where, problem, "choose another cut-off, or 'off' for no low-pass")
 
 
@@ -60,8 +58,6 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     """
     if cutoff == 0:
         return values.copy()
-    from scipy.signal import sosfilt
-
     check_cutoff(cutoff, fs, "processing, lowpass")
     sections, constant = _butterworth(order, cutoff, fs)
     padding = max(3 * (2 * len(sections) + 1), int(np.ceil(3 * fs / cutoff)))
@@ -70,15 +66,36 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     for a, b in segments:
         if b - a < 2:
             continue
-        x, n = rows[:, a:b], min(padding, b - a - 1)
         # reflected at both ends, longer than the transient of a low cut-off
-        before, after = 2.0 * x[:, :1] - x[:, n:0:-1], 2.0 * x[:, -1:] - x[:, -2 : -n - 2 : -1]
-        x = np.concatenate([before, x, after], axis=1)
-        for _ in range(2):  # forwards, and backwards
-            x, _ = sosfilt(sections, x, zi=constant[:, None] * x[:, :1])
-            x = x[:, ::-1]
-        rows[:, a:b] = x[:, n : n + b - a]
+        _there_and_back(rows, a, b, sections, constant, min(padding, b - a - 1))
     return result
+
+
+@njit(cache=True)
+def _there_and_back(rows, a, b, sections, constant, padding):  # type: ignore[no-untyped-def]
+    """Filter samples a to b of rows ``(k, N)`` in place by second-order sections, both ways."""
+    n = b - a
+    x = np.empty(n + 2 * padding)
+    for row in rows:
+        for i in range(n):
+            x[padding + i] = row[a + i]
+        for i in range(padding):
+            x[i] = 2.0 * row[a] - row[a + padding - i]
+            x[padding + n + i] = 2.0 * row[b - 1] - row[b - 2 - i]
+        for _ in range(2):
+            first = x[0]
+            for section in range(len(sections)):
+                b0, b1, b2, _, a1, a2 = sections[section]
+                z1, z2 = constant[section, 0] * first, constant[section, 1] * first
+                for i in range(x.size):
+                    y = b0 * x[i] + z1
+                    z1 = b1 * x[i] - a1 * y + z2
+                    z2 = b2 * x[i] - a2 * y
+                    x[i] = y
+            for i in range(x.size // 2):
+                x[i], x[-1 - i] = x[-1 - i], x[i]
+        for i in range(n):
+            row[a + i] = x[padding + i]
 
 
 @lru_cache(maxsize=64)
@@ -123,8 +140,7 @@ def reach_of(
 def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:
     """Differentiate signals (..., n) in every segment of at least three samples; else it is 0.
 
-    Of ``reach`` neighbours on either side, see :func:`differentiator`, or of as many as there are;
-    at a segment's ends by the one-sided formula of second order.
+    By :func:`differentiator`, at a segment's ends by fewer neighbours or one-sided.
     """
     result = np.zeros_like(values)
     for a, b in segments:
@@ -157,13 +173,11 @@ def averaged(values: Array, segments: Segments, length: float) -> Array:
 def later(values: Array, samples: float, neighbours: int = 4) -> Array:
     """Delay a signal ``(n,)`` by a possibly fractional or negative number of samples.
 
-    Interpolates by the polynomial through ``neighbours`` on either side: with four right within
-    1e-4 at a tenth of the sampling rate. A signal is constant beyond its ends.
+    By the polynomial through ``neighbours`` on either side, constant beyond the ends.
     """
-    shift = math.floor(-samples)
+    shift, furthest = math.floor(-samples), len(values) + neighbours
     weights = _between(-samples - shift, neighbours)
     # beyond the whole signal there is only its end
-    furthest = len(values) + neighbours
     shift = int(np.clip(shift, -furthest, furthest))
     index = np.arange(shift - neighbours + 1, len(values) + shift + neighbours)
     padded = values[np.clip(index, 0, len(values) - 1)]
@@ -180,20 +194,15 @@ def interpolated(time: Array, values: Array, at: Array) -> Array:
 @lru_cache(maxsize=1024)
 def _between(share: float, neighbours: int) -> Array:
     """Interpolation weights ``(2 neighbours,)`` between two samples."""
-    offsets = np.arange(-neighbours + 1, neighbours + 1)
-    return np.array(
-        [
-            np.prod([(share - m) / (k - m) for m in offsets if m != k]) if share else float(k == 0)
-            for k in offsets.tolist()
-        ]
-    )
+    offsets = np.arange(-neighbours + 1, neighbours + 1).tolist()
+    if not share:
+        return np.array([float(k == 0) for k in offsets])
+    others = ([(share - m) / (k - m) for m in offsets if m != k] for k in offsets)
+    return np.array([np.prod(factors) for factors in others])
 
 
 def delayed_command(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:
-    """Delay a command ``(n,)`` by some samples, exact within the band.
-
-    One that is held until the next sample acts half a sample later, averaged over one.
-    """
+    """Delay a command ``(n,)`` by some samples, half a one more where it is held until the next."""
     late = command.copy()
     for a, b in segments:
         late[a:b] = later(command[a:b], samples + 0.5 * held)
@@ -203,11 +212,7 @@ def delayed_command(command: Array, segments: Segments, samples: float, *, held:
 def inverse_lowpass(
     values: Array, segments: Segments, period: float, lag: Lag, reach: int
 ) -> Array:
-    """Undo a causal low-pass on a signal ``(n,)``, within the band that its derivatives show.
-
-    The inverse is ``1 + s/w`` or, of a Butterworth filter of second order, ``1 + sqrt(2) s/w +
-    (s/w)²``.
-    """
+    """Undo a causal low-pass of first or second order on a signal ``(n,)``, within the band."""
     cutoff, order = lag
     rate = derivative(values, segments, period, reach) / (2.0 * np.pi * cutoff)
     if order == 1:
@@ -299,8 +304,7 @@ def parallel_cutoff(factor: int, band: float | None, fs: float) -> float:
 def parallel_taps(factor: int, band: float | None, fs: float) -> Array:
     """Design the weights ``(L,)`` of a parallel filter, L odd; they sum to 1.
 
-    ``factor`` is samples an output. ``band`` is the cut-off in Hz; None for the one near half the
-    decimated rate that keeps noise white, or no filter if nothing is decimated.
+    ``factor`` is samples an output, ``band`` the cut-off in Hz, None for the white one.
     """
     length = parallel_length(factor, band, fs)
     if length == 1:
@@ -318,8 +322,7 @@ def lay_windows(
 ) -> ParallelFilter:
     """Lay windows of weights ``taps`` (L,), one every ``factor`` samples, fully inside segments.
 
-    Samples that are not ``usable`` (N,) count for nothing; windows with more than
-    ``largest_share`` of their weight on them are left out. There may be no window.
+    Those with more than ``largest_share`` of their weight on unusable samples are left out.
     """
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]
@@ -349,40 +352,23 @@ def averaged_to(recording: Measurement, rate: float) -> Measurement:
     borders = [(windows.starts >= a) & (windows.starts < b) for a, b in r.segments]
     ends = np.cumsum([0, *(n for inside in borders if (n := int(inside.sum())))]).tolist()
 
-    def mean(values: Array | None, *, held: bool = False) -> Any:
-        if values is None:
-            return None
-        # a command that is held acts later by half a sample of the faster rate
-        return windows.apply(
-            delayed_command(values, r.segments, 0.0, held=held) if held else values
-        )
-
     def partly(flags: Flags) -> Flags:
         return np.asarray(sizes.apply(flags.astype(np.float64)) > SMALL_SHARE)
 
-    time = r.time[windows.centres]
-    signals = {key: Signal(time, mean(x.at(r.time))) for key, x in r.inputs.others.items()}
-    known = {key: getattr(r.inputs, key) for key in ("temperature", "load_torque")}
-    known = {key: x and Signal(time, mean(x.at(r.time))) for key, x in known.items()}
-    law = r.law and replace(
-        r.law,
-        command=mean(r.law.command, held=r.law.held),
-        scale=mean(r.law.scale),
-        off=None if r.law.off is None else partly(r.law.off),
-        held=False,
-    )
+    # a command that is held acts later by half a sample of the faster rate
+    if r.held:
+        r = replace(r, torque=delayed_command(r.torque, r.segments, 0.0, held=True), held=False)
+    if r.law and r.law.held:
+        command = delayed_command(r.law.command, r.segments, 0.0, held=True)
+        r = replace(r, law=replace(r.law, command=command, held=False))
+    time, stamps = r.time[windows.centres], r.time
     return replace(
-        r,
+        r.each(windows.apply, partly),
         time=time,
-        torque=mean(r.torque, held=r.held),
-        **{key: mean(getattr(r, key)) for key in ("position", "velocity", "back_emf", "feedback")},
         segments=tuple(pairwise(ends)),
         period=factor * r.period,
-        excluded=partly(r.excluded),
-        inputs=replace(r.inputs, others=signals, **known),
+        inputs=r.inputs.each(lambda x: Signal(time, windows.apply(x.at(stamps)))),
         steps=(*r.steps, f"time: averaged over {factor} samples, at {rate:.3g} Hz"),
-        held=False,
-        law=law,
     )
 
 
@@ -394,12 +380,7 @@ def averaged_to(recording: Measurement, rate: float) -> Measurement:
 
 @dataclass(frozen=True)
 class Resolution:
-    """The band of a recording and its signal-to-noise ratio.
-
-    The band ends by the ``sampling`` rate, the ``position``'s noise, the ``torque``'s power, the
-    ``length`` of the recording, a ``model`` (:mod:`bayesfric.estimates.processing`), or as
-    ``asked``.
-    """
+    """The band of a recording, what ends it, and its signal-to-noise ratio."""
 
     band: float  # Hz up to which measured and modelled torque can be compared
     reason: Reason
@@ -419,9 +400,8 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     spectra = _spectra(recording)
     reason: Reason = "sampling" if band is None else "asked"
     if spectra is None:
-        return Resolution(
-            WIDEST * (recording.pace or fs) if band is None else band, reason, 0.0, math.inf
-        )
+        widest = WIDEST * (recording.pace or fs)
+        return Resolution(widest if band is None else band, reason, 0.0, math.inf)
     frequency, width, motion, unit_noise, _ = spectra
     # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
     quiet = frequency >= 0.3 * fs
@@ -438,10 +418,9 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
 
 
 def finest_step(position: Array, *, smallest: int = 100, uneven: float = 0.1) -> float:
-    """Find the common divisor of all differences of positions, by Euclid's algorithm; 0 for none.
+    """Find the common divisor of the ``smallest`` differences of positions by Euclid's algorithm.
 
-    Of the ``smallest`` ones, within a share of the step: a fine encoder on a fast joint hardly ever
-    shows a single step.
+    Within a share ``uneven`` of the step; 0 for none.
     """
     gaps = np.diff(np.unique(position))
     # rounding of a conversion of units is no encoder step
@@ -461,9 +440,8 @@ def finest_step(position: Array, *, smallest: int = 100, uneven: float = 0.1) ->
 def lowpass_above(band: float, fs: float, times: float = 3.0) -> float:
     """Return the cut-off in Hz of a position's low-pass that hardly attenuates a band.
 
-    A lower one attenuates the model's torque (0.4 % at the band's end at twice the band); with a
-    higher one noise makes the power flow uncertain, and load-dependent friction is off by a third
-    of its sd. At most a fifth of the sampling rate.
+    A lower one attenuates the model's torque (0.4 % at the end of half of it); a higher one makes
+    power flow uncertain, and load-dependent friction is off by a third of its sd.
     """
     return min(times * band, 0.2 * fs)
 
@@ -479,9 +457,8 @@ def _choose(
 ) -> tuple[float, Reason]:
     """Choose the widest band that position, torque and sampling allow.
 
-    ``local`` and ``overall`` are the least signal-to-noise ratios (power) of the acceleration at
-    each frequency, for noise models that weigh the band's end most, and over the band: about the
-    inverse share of an inertia that is lost.
+    ``local`` and ``overall`` are the least signal-to-noise ratios (power) of the acceleration, at
+    each frequency and over the band: about the inverse share of an inertia that is lost.
     """
     fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
     ends: list[tuple[float, Reason]] = [(WIDEST * (recording.pace or fs), "sampling")]
@@ -527,11 +504,8 @@ def _spectra(recording: Measurement, least: int = 64) -> _Spectra | None:
     moved, order = recording.velocity, 1
     if moved is None:
         moved, order = recording.position, 2
-    parts = [
-        slice(a, b)
-        for a, b in recording.segments
-        if b - a >= least and not recording.excluded[a:b].all()
-    ]
+    parts = [slice(a, b) for a, b in recording.segments if b - a >= least]
+    parts = [part for part in parts if not recording.excluded[part].all()]
     if not parts:
         return None
     longest = max(p.stop - p.start for p in parts)

@@ -67,8 +67,7 @@ def divide(
     where = "validation.recordings"
     for name in validation.recordings:
         if name not in names:
-            problem = f"no recording is called {name!r}"
-            raise BadInput(where, problem, nearest(name, names))
+            raise BadInput(where, f"no recording is called {name!r}", nearest(name, names))
     if set(names) == set(validation.recordings):
         raise BadInput(where, "holds out every recording", "leave one to fit")
     parts = list[Part]()
@@ -96,7 +95,7 @@ def _without_end(
     if begin > LEAST_SAMPLES:
         # only the fitted part determines the band; a remainder that is too short is refused below
         with suppress(BadInput):
-            processing = settled(_piece(recording, 0, begin), processing)
+            processing = settled(recording.within(((0, begin),)), processing)
     length, step = window(recording, processing)
     last = begin - length - gap * step
     part = f"last {100 * share:.3g} %"
@@ -113,7 +112,7 @@ def _without_end(
             problem = f"{whose}: {error.problem}"
             raise BadInput(where, problem, "hold out another share") from None
 
-    rest, end = _piece(recording, 0, last), _piece(recording, begin, n)
+    rest, end = (recording.within((span,)) for span in ((0, last), (begin, n)))
     o = observed(rest, processing, f"what is left of recording {name!r}")
     note = f"held out: {whose}, from {end.time[0]:.4g} s on, and {begin - last} samples before it "
     o = replace(o, steps=(*o.steps, f"{note}as a gap"))
@@ -132,11 +131,3 @@ def _check(part: Part, where: str, whose: str, *, least: int = 20) -> None:
     if (count := part.observation.measured.size) < least:
         problem = f"{whose} is too short: {count} outputs after filtering, at least "
         raise BadInput(where, f"{problem}{least} are needed", "hold out more, or decimate less")
-
-
-def _piece(r: Measurement, begin: int, end: int) -> Measurement:
-    """Cut a recording to samples ``begin`` to ``end``; too short segments go, as in reading."""
-    cut = [(max(a, begin), min(b, end)) for a, b in r.segments if a < end and b > begin]
-    segments = [(a, b) for a, b in cut if b - a >= LEAST_SAMPLES] or cut
-    begin, end = segments[0][0], segments[-1][1]
-    return r.part(slice(begin, end), tuple((a - begin, b - begin) for a, b in segments))

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags, Index, Segments, pchip
+from bayesfric.recordings.arrays import Array, Flags, Segments
 
 # Shorter segments between gaps are left out.
 LEAST_SAMPLES = 50
@@ -40,22 +40,18 @@ class Grid:
     steps: tuple[str, ...]  # a sentence for every choice made
     warnings: tuple[str, ...]
 
-    def linear(self, values: Array) -> Array:
-        """Interpolate a signal ``(n,)`` linearly on the grid ``(m,)``."""
-        return self._bring(values, np.interp)
-
-    def smooth(self, values: Array) -> Array:
-        """Interpolate by PCHIP, which keeps the slope continuous."""
-        return self._bring(values, pchip)
-
-    def _bring(self, values: Array, interpolate: Callable[[Array, Array, Array], Array]) -> Array:
-        parts = [values[a:b] for a, b in self.pieces]
-        if self.resampled:
-            parts = [
-                interpolate(self.time[lo:hi], self.stamps[a:b], part)
-                for part, (a, b), (lo, hi) in zip(parts, self.pieces, self.segments, strict=True)
-            ]
+    def bring(self, values: Array, how: Callable[[Array, Array, Array], Array]) -> Array:
+        """Interpolate a signal ``(n,)`` on the grid ``(m,)``."""
+        pairs = zip(self.pieces, self.segments, strict=True)
+        parts = [
+            how(self.time[c:d], self.stamps[a:b], values[a:b]) if self.resampled else values[a:b]
+            for (a, b), (c, d) in pairs
+        ]
         return np.concatenate(parts)
+
+    def linear(self, values: Array) -> Array:
+        """Interpolate linearly."""
+        return self.bring(values, np.interp)
 
 
 def make_grid(
@@ -63,8 +59,8 @@ def make_grid(
 ) -> Grid:
     """Put a uniform grid over the segments without gaps of increasing stamps (n,).
 
-    Only the half-open range ``chosen`` is used. A gap is a step of more than ``gap`` median ones.
-    Steps that jitter by more than 1 % rms are resampled to their median.
+    Only over the range ``chosen``. A gap is a step of more than ``gap`` median ones; steps that
+    jitter by more than 1 % rms are resampled to their median.
     """
     (first, last), warnings = chosen, list[str]()
     count = last - first
@@ -78,37 +74,32 @@ def make_grid(
     pieces = tuple((a, b) for a, b in ranges if b - a >= LEAST_SAMPLES)
     if not pieces:
         longest = max(b - a for a, b in ranges)
-        problem = f"time gaps leave no segment of {LEAST_SAMPLES} samples"
-        problem += f" (the longest of {len(ranges)} has {longest})"
-        raise BadInput(where, problem, "record without gaps")
+        problem = f"time gaps leave {len(ranges)} segments of at most {longest} samples"
+        raise BadInput(where, problem, f"record {LEAST_SAMPLES} without gaps")
     inside = np.concatenate([np.diff(time[a:b]) for a, b in pieces])
     period = float(np.mean(inside))
     jitter = float(np.sqrt(np.mean((inside - period) ** 2)) / period)
-    times, percent = [time[a:b] for a, b in pieces], f"jitter {100 * jitter:.2g} %"
-    if jitter > most_jitter:
+    times, resampled = [time[a:b] for a, b in pieces], jitter > most_jitter
+    how = f"regular every {1e3 * period:.4g} ms"
+    if resampled:
         period = median
-        times = [_evenly(part, period) for part in times]
-        how = f"irregular ({percent}), resampled to {1e3 * period:.3g} ms "
-        how += "by linear interpolation (PCHIP for position)"
-    else:
-        how = f"regular every {1e3 * period:.4g} ms ({percent})"
-    steps = [f"time: {count} samples, {how}"]
+        # a last stamp that lies on the grid but for rounding stays
+        counts = [int(np.floor(np.ptp(x) / period + 1e-9)) + 1 for x in times]
+        pairs = zip(times, counts, strict=True)
+        times = [np.minimum(x[0] + period * np.arange(n), x[-1]) for x, n in pairs]
+        how = f"irregular, resampled linearly (position: PCHIP) to {1e3 * period:.3g} ms"
+    steps = [f"time: {count} samples, {how} (jitter {100 * jitter:.2g} %)"]
     if len(ranges) > 1:
         steps.insert(0, f"time: gaps split the recording into {len(ranges)} segments")
-    if len(pieces) < len(ranges):
+    if short := len(ranges) - len(pieces):
         lost = count - sum(b - a for a, b in pieces)
-        warnings.append(
-            f"time: {len(ranges) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
-            f"samples left out ({lost} samples)"
-        )
+        warnings.append(f"time: {short} short segments ({lost} samples in all) left out")
     span = float(time[last - 1] - time[first])
     if implausible(period, span):
-        warnings.append(
-            f"time: {count} samples in {span:.3g} s, one every {period:.3g} s, are of no joint's "
-            "motion; is the unit of time right?"
-        )
-    segments = tuple(pairwise(np.cumsum([0, *(len(part) for part in times)]).tolist()))
-    sentences, resampled = (tuple(steps), tuple(warnings)), jitter > most_jitter
+        text = f"time: {count} samples in {span:.3g} s, one every {period:.3g} s, are of no joint's"
+        warnings.append(f"{text} motion; is the unit of time right?")
+    segments = tuple(pairwise(np.cumsum([0, *map(len, times)]).tolist()))
+    sentences = tuple(steps), tuple(warnings)
     return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *sentences)
 
 
@@ -123,12 +114,6 @@ def steady_grid(count: int) -> Grid:
     segments = tuple((k, k + 1) for k in range(count))
     step = f"time: none; {count} points at constant speed, without an acceleration"
     return Grid(number, segments, number, segments, 1.0, False, (step,), ())
-
-
-def _evenly(stamps: Array, period: float) -> Array:
-    # the tolerance keeps a last stamp that lies on the grid but for rounding
-    n = int(np.floor((stamps[-1] - stamps[0]) / period + 1e-9)) + 1
-    return np.asarray(np.minimum(stamps[0] + period * np.arange(n), stamps[-1]))
 
 
 def spread_ranges(
@@ -188,6 +173,15 @@ class Inputs:
         """
         return self.others.get(f"{name} inertia")
 
+    def each(self, change: Callable[[Signal], Signal]) -> Inputs:
+        """Change every recorded signal."""
+        measured = {key: getattr(self, key) for key in ("temperature", "load_torque")}
+        changed: dict[str, Any] = {
+            key: change(signal) for key, signal in measured.items() if signal is not None
+        }
+        others = {name: change(signal) for name, signal in self.others.items()}
+        return replace(self, others=others, **changed)
+
     @property
     def known_load(self) -> bool:
         """Whether a known mass or a measured torque loads the joint."""
@@ -220,7 +214,8 @@ class Law:
     limit: float = np.inf  # of the command, either way
     back_emf: float = 0.0  # motor torque for a speed of the joint
     off: Flags | None = None  # where the drive is off, if known
-    held: bool = False  # whether a command is held until the next; else linear
+    # whether a command is held until the next, else linear; None of a target where nobody knows
+    held: bool | None = False
     # ranges of gains that are not known, of kp and in addition to kd, as kp and kd; kp is its upper
     # end, or 1 where it is any
     unknown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -247,14 +242,9 @@ class Law:
         """Where the command is at its limit, ``(n,)``."""
         return np.asarray(np.abs(self.command - self.kp * q - self.kd * qd) >= self.limit)
 
-    def on(self, grid: Grid) -> Law:
-        """Interpolate from a file's stamps onto a uniform time base."""
-        return replace(self, command=grid.linear(self.command), scale=grid.linear(self.scale))
-
-    def part(self, samples: Index | slice) -> Law:
-        """Select samples."""
-        off = None if self.off is None else self.off[samples]
-        return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)
+    def each(self, change: Callable[[Array], Array]) -> Law:
+        """Change all arrays but flags."""
+        return replace(self, command=change(self.command), scale=change(self.scale))
 
 
 def integral(rate: Array, segments: Segments, period: float, speed: Array | None = None) -> Array:
@@ -302,32 +292,37 @@ class Measurement:
     law: Law | None = None  # of the drive; None for a simulated replicate
     integrated: bool = False  # whether the position is the integral of the velocity
     steady: bool = False  # whether every sample is a segment of its own, at constant speed
+    lacking: tuple[str, str] = ("", "")  # what is excluded, and what to do where that is too much
 
-    def part(self, samples: Index | slice, segments: Segments) -> Measurement:
-        """Select samples, which then make up ``segments``."""
-        names = ("time", "position", "velocity", "torque", "back_emf", "excluded", "feedback")
-        arrays: dict[str, Any] = {
-            name: None if (x := getattr(self, name)) is None else x[samples] for name in names
-        }
-        law = None if self.law is None else self.law.part(samples)
-        return replace(self, segments=segments, law=law, **arrays)
+    def each(
+        self, change: Callable[[Array], Array], of_flags: Callable[[Flags], Flags] | None = None
+    ) -> Measurement:
+        """Change all arrays of samples, flags by a function of their own."""
+        of_flags = of_flags or cast("Callable[[Flags], Flags]", change)
+        names = ("time", "position", "velocity", "torque", "back_emf", "feedback")
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
+        arrays = {name: change(x) for name, x in arrays.items() if x is not None}
+        law = self.law and self.law.each(change)
+        if law and law.off is not None:
+            law = replace(law, off=of_flags(law.off))
+        return replace(self, law=law, excluded=of_flags(self.excluded), **arrays)
 
-    def excerpt(self, limit: int) -> Measurement:
-        """Select at most so many samples, in up to eight ranges all over the recording.
-
-        Too short segments go, as in reading.
-        """
-        if self.time.size <= limit:
-            return self
+    def within(self, ranges: Segments) -> Measurement:
+        """Select ranges of samples; too short segments go, as in reading."""
         cut = [
             np.arange(max(a, begin), min(b, end))
-            for begin, end in spread_ranges(self.time.size, limit)
+            for begin, end in ranges
             for a, b in self.segments
             if a < end and b > begin
         ]
         parts = [part for part in cut if part.size >= LEAST_SAMPLES] or cut
-        ends = np.cumsum([0, *(part.size for part in parts)]).tolist()
-        return self.part(np.concatenate(parts), tuple(pairwise(ends)))
+        ends, samples = np.cumsum([0, *map(len, parts)]).tolist(), np.concatenate(parts)
+        return replace(self.each(lambda x: x[samples]), segments=tuple(pairwise(ends)))
+
+    def excerpt(self, limit: int) -> Measurement:
+        """Select at most so many samples, in up to eight ranges all over the recording."""
+        count = self.time.size
+        return self if count <= limit else self.within(spread_ranges(count, limit))
 
     @property
     def hold(self) -> Hold:

@@ -15,19 +15,9 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
-from bayesfric.recordings import checks, filters, units
+from bayesfric.recordings import checks, filters, measurement, units
 from bayesfric.recordings.arrays import Array, Flags, pchip
-from bayesfric.recordings.measurement import (
-    Grid,
-    Inputs,
-    Lag,
-    Law,
-    Measurement,
-    Signal,
-    integral,
-    make_grid,
-    steady_grid,
-)
+from bayesfric.recordings.measurement import Grid, Inputs, Law, Measurement, Signal
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
     SI,
@@ -35,7 +25,6 @@ from bayesfric.recordings.source import (
     Columns,
     Current,
     Effort,
-    Filtered,
     Position,
     Processing,
     Recording,
@@ -58,6 +47,14 @@ _REQUIRED: dict[units.Kind, tuple[str, ...]] = {
     "current": ("torque_constant",),
     "voltage": ("torque_constant", "resistance"),
     "share": ("torque_constant", "resistance", "times"),  # of a supply voltage
+}
+# What a user can do where next to no sample is compared, by what excludes them.
+_EXCLUDING = {
+    "held for long": "the drive answers too slowly for accelerations: for friction alone give "
+    "velocity and torque with steady = true, no time or position",
+    "not valid": "check the column of 'valid'",
+    "in 'exclude'": "exclude less",
+    "as slow as a few steps of the speed": "record faster motions",
 }
 # Channels of a bus, which may fail to be read, or whose sign may be a bit.
 _MEASURED = ("position", "velocity", "torque", "current", "voltage")
@@ -84,8 +81,7 @@ def read_recordings(
     """Read all files of a recording, sorted inside a pattern, or its table in memory.
 
     ``ratio`` is motor motion per joint motion (rad/rad, rad/m, ...); ``number`` names a table in
-    memory without a name. The low-pass of ``processing`` is that of the motor's speed where a
-    voltage was measured.
+    memory without a name.
     """
     if not np.isfinite(ratio) or ratio == 0:
         raise BadInput("ratio", f"{ratio} is no gear ratio", "give a finite number other than 0")
@@ -96,19 +92,18 @@ def read_recordings(
     if recording.table is not None:
         name = source.name or f"recording-{number}"
         table = replace(recording.table, where=f"recording {name!r}")
-        measurement = filters.averaged_to(
-            _read(source, table, drive, processing), recording.needed_rate
-        )
-        return [replace(measurement, name=name, sha256=_sha256(source, table))]
+        in_memory = _read(source, table, drive, processing)
+        in_memory = replace(in_memory, name=name, sha256=_sha256(source, table))
+        return [filters.averaged_to(in_memory, recording.needed_rate)]
     assert isinstance(source, Source)
     measurements = []
     for path, name in _named_files(source, recording.folder):
         try:
-            measurement = _read(source, read_table(path, source), drive, processing)
+            recorded = _read(source, read_table(path, source), drive, processing)
         except MemoryError as error:
             hint = "split it, or save fewer columns"
             raise BadInput(str(path), "needs more memory than there is", hint) from error
-        measurements.append(replace(measurement, name=name, path=path, sha256=sha256(path)))
+        measurements.append(replace(recorded, name=name, path=path, sha256=sha256(path)))
     return measurements
 
 
@@ -119,48 +114,39 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     # columns
     source, table, time = aligned(source, table, drive)
     table, time, stale, pace, warnings = _as_measured(source, table, time)
-    table = table.with_ones(len(time))
-    steps, position, velocity = list(table.notes), None, None
-    if source.position is not None:
-        position, step = joint_signal(source.position, "position", table, drive)
-        steps.append(step)
-    if source.velocity is not None:
-        velocity, step = joint_signal(source.velocity, "velocity", table, drive)
-        steps.append(step)
-    moved, signal = (velocity, "velocity") if position is None else (position, "position")
-    assert moved is not None
+    # of signals that are known throughout
+    table = table.decoded({"": np.ones(len(time))}, ())
+    steps, motions = list(table.notes), dict[str, Array]()
+    for key in ("position", "velocity"):
+        if (motion := source.channels.get(key)) is not None:
+            assert isinstance(motion, Position)
+            motions[key], step = joint_signal(motion, key, table, drive)
+            steps.append(step)
+    signal, moved = next(iter(motions.items()))
+    position, velocity = motions.get("position"), motions.get("velocity")
     channel, kind, recorded, torque_step = _recorded_torque(source, table, drive)
 
     # checks
     chosen = slice(*chosen_rows(source, time, table.where))
-    where = table.where
-    grid = (
-        steady_grid(len(time))
-        if source.steady
-        else make_grid(time, (chosen.start, chosen.stop), where)
-    )
+    if source.steady:
+        grid = measurement.steady_grid(len(time))
+    else:
+        grid = measurement.make_grid(time, (chosen.start, chosen.stop), table.where)
+    raw, label = _signed(channel, table)[chosen], table.label(channel.column)
     checks.check_moves(moved[chosen], table.label(source.motion.column), signal)
     if channel.value is None and not (recorded.follows or np.ptp(recorded.command[chosen])):
-        checks.check_moves(_signed(channel, table)[chosen], table.label(channel.column), kind)
-    warnings += [
-        *table.doubts(source.columns),
-        *grid.warnings,
-        *_count_warnings(source, table, chosen),
-    ]
-    for key, signed in source.channels.items():
-        coded = None
-        if key in _MEASURED and not source.steady:
-            coded = checks.sign_code(_signed(signed, table)[chosen])
-        if coded is not None:
+        checks.check_moves(raw, label, kind)
+    warnings += [*table.doubts(source.columns), *grid.warnings]
+    warnings += _count_warnings(source, table, chosen)
+    for key in _MEASURED if not source.steady else ():
+        signed = source.channels.get(key)
+        if signed and (coded := checks.sign_code(_signed(signed, table)[chosen])):
             hint = f"where its sign is a bit, write {coded[0]} = {coded[1]}"
             raise BadInput(table.label(signed.column), f"{key}: {coded[2]}", hint)
     if not recorded.closed:
-        warnings += checks.clipped(_signed(channel, table)[chosen], kind)
+        warnings += checks.clipped(raw, kind)
         if channel.sign == 1 and position is not None and source.voltage is None:
-            label = table.label(channel.column)
-            warnings += checks.unsigned(
-                table.column(channel.column)[chosen], position[chosen], label
-            )
+            warnings += checks.unsigned(raw, position[chosen], label)
     if (encoder_step := checks.quantisation(moved[chosen])) is not None:
         unit = ("rad" if drive.motion == "rotary" else "m") + "/s" * (position is None)
         steps.append(f"{signal}: read in steps of {encoder_step:.3g} {unit} at the joint")
@@ -170,15 +156,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     speed = None if velocity is None else grid.linear(velocity)
     if position is None:
         assert speed is not None
-        joint = integral(speed, grid.segments, grid.period)
-        steps += (
-            []
-            if source.steady
-            else ["position: none; the velocity integrated, from 0 in every segment"]
-        )
+        joint = measurement.integral(speed, grid.segments, grid.period)
+        if not source.steady:
+            steps.append("position: none; the velocity integrated, from 0 in every segment")
     else:
-        joint = grid.smooth(position)
-    law = recorded.on(grid)
+        joint = grid.bring(position, pchip)
+    law = recorded.each(grid.linear)
     if channel.sampled != "instant":
         # position and speed pass the same averaging as the torque
         length = float(np.median(np.diff(time))) / grid.period
@@ -197,26 +180,29 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         law = replace(law, command=law.command * np.sign(drive.ratio * motor_speed))
         torque_step += ", positive where it drives"
     torque = law.drives(joint, motor_speed)
+    feedback = law.kp * joint + law.kd * motor_speed if law.closed else None
     back_emf = law.back_emf * motor_speed if law.back_emf else None
     if back_emf is not None:
         torque = torque - back_emf
     steps.append(torque_step + _law_step(law, joint, motor_speed, measured=speed is not None))
     inputs = _inputs(source, table, drive, grid, steps)
-    off, excluded = _excluded(source, table, grid, warnings)
-    excluded |= grid.linear(stale.astype(np.float64)) > 0.0
-    if source.steady and speed is not None:
-        # a speed of a few of its steps is none
-        excluded |= np.abs(speed) <= 3.5 * (checks.quantisation(speed) or 0.0)
-    if law.closed and (~excluded).any():
+    excluding = _excluding(source, table, grid, stale, speed, warnings)
+    excluded, lacking = np.any([*excluding.values()], axis=0), ("", "")
+    if excluded.any():
+        counts = {why: int(flags.sum()) for why, flags in excluding.items() if flags.any()}
+        text = ", ".join(f"{count} {why}" for why, count in counts.items())
+        text = f"{int(excluded.sum())} of {len(excluded)} samples are not compared ({text})"
+        steps.append(f"exclude: {text}")
+        lacking = text, _EXCLUDING[max(counts, key=lambda why: counts[why])]
+    if law.closed and not excluded.all():
         fault = checks.target_fault(law.command / law.kp, joint, ~excluded)
         if fault is not None:
-            raise BadInput(table.label(channel.column), *fault)
-    if excluded.any():
-        steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
+            raise BadInput(label, *fault)
     torque_constant = None
     if source.current is not None:
         torque_constant, *_ = _motor("current", source.current, table, drive)
-    played = law if source.target is None else _target_law(source.target, table, drive)[0].on(grid)
+    if source.target is not None:
+        law = _target_law(source.target, table, drive)[0].each(grid.linear)
     return Measurement(
         name="",
         path=None,
@@ -226,19 +212,20 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         velocity=speed,
         torque=torque,
         back_emf=back_emf,
-        feedback=law.kp * joint + law.kd * motor_speed if law.closed else None,
+        feedback=feedback,
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
         inputs=inputs,
         steps=tuple(steps),
         warnings=tuple(warnings),
-        held=channel.held,
-        torque_lag=_lag(channel),
-        velocity_lag=_lag(source.velocity),
+        held=bool(channel.held),
+        torque_lag=channel.lag if isinstance(channel, Torque | Current) else None,
+        velocity_lag=None if source.velocity is None else source.velocity.lag,
         motion=drive.motion,
         torque_constant=torque_constant,
-        law=replace(played, off=off),
+        law=replace(law, off=excluding.get("not valid")),
+        lacking=lacking,
         integrated=position is None,
         steady=source.steady,
         ratio=drive.ratio,
@@ -250,10 +237,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
 
 def aligned(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table, Array]:
-    """Bring all columns, decoded, to the rows and time stamps of the motion.
-
-    Returns these stamps, too, in s since the recording's first.
-    """
+    """Bring all columns, decoded, to the rows of the motion; returns their stamps from 0, too."""
     first = source.motion.column
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
@@ -298,9 +282,9 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
             longest = None if key in ("position", "velocity") else 5
             failed, code = checks.failed_reads(values, longest)
             if failed.any():
-                values = np.where(failed, np.nan, values)
-                where = f"failed reads: column {channel.column!r} is {code:.6g} between values "
-                notes.append(f"{where}far from it in {int(failed.sum())} rows, left out")
+                values, count = np.where(failed, np.nan, values), int(failed.sum())
+                note = f"failed reads: column {channel.column!r} is {code:.6g} between values far"
+                notes.append(f"{note} from it in {count} rows, left out")
         if isinstance(channel, Position) and not isinstance(channel, Velocity):
             motion = drive.motor_motion if channel.side == "motor" else drive.motion
             plain = channel.model_copy(update={"times": None})  # of a target it is the supply
@@ -308,11 +292,8 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
             turn = 2.0 * np.pi / factor if motion == "rotary" else None
         if key in ("time", "position", "target") and np.isfinite(values).any():
             values, modulus, jumps = checks.unwrapped(values, turn)
-            wraps[key] = (
-                float(np.nanmedian(values)),
-                modulus,
-                factor * (-1 if channel.sign == -1 else 1),
-            )
+            unit = factor * (-1 if channel.sign == -1 else 1)
+            wraps[key] = float(np.nanmedian(values)), modulus, unit
             if modulus:
                 jump = "a turn" if modulus == turn else f"{modulus:.6g} counts"
                 notes.append(f"{key}: jumps by {jump} at {jumps} places, unwrapped")
@@ -324,10 +305,9 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
     if wraps.keys() >= {"position", "target"} and source.position and source.target:
         # by whole turns near the position, which it was compared with before it was unwrapped
         (goal, modulus, unit), (middle, other, by) = wraps["target"], wraps["position"]
-        size = max(modulus * abs(unit), other * abs(by))
+        size, column = max(modulus * abs(unit), other * abs(by)), source.target.column
         if size and source.target.side == source.position.side:
             turns = np.round((middle * by - goal * unit) / size)
-            column = source.target.column
             decoded[column] = decoded.get(column, table.values(column)) + turns * size / unit
     return source.model_copy(update=update), table.decoded(decoded, notes)
 
@@ -337,8 +317,8 @@ def _as_measured(
 ) -> tuple[Table, Array, Flags, float | None, list[str]]:
     """Leave rows out that repeat motion and torque; interpolate a signal between its own rows.
 
-    Returns also the stamps, flags of rows that last longer than usual, the pace in Hz of the
-    slowest signal, and warnings.
+    Returns also the stamps, flags of rows that last long, the pace in Hz of the slowest signal,
+    and warnings.
     """
     columns = {k: x.column for k, x in source.channels.items() if k in _MEASURED}
     signals = {key: table.values(column) for key, column in columns.items()}
@@ -411,7 +391,7 @@ def recorded_time(source: Columns, table: Table, count: int) -> Array:
         # rows of several signals may take turns
         stride = float(np.median(np.diff(rows))) if count > 1 else 1.0
         if np.any(rows % stride):
-            problem = "the rows that where selects are not evenly spaced, and rate says no more"
+            problem = "the rows that where selects are not evenly spaced"
             raise BadInput(table.where, problem, "give time in place of rate")
         return np.asarray(rows / stride / (source.rate or 1.0))
     column = source.time.column
@@ -427,9 +407,8 @@ def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
     first = 0 if source.start is None else int(np.searchsorted(time, source.start, "left"))
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):
-        end = time[-1] if len(time) else 0.0
-        problem = f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s"
-        raise BadInput(where, problem, "choose an earlier start")
+        problem = f"ends {max(time, default=0.0):.6g} s after its first stamp"
+        raise BadInput(where, f"{problem}, before start = {source.start:g} s", "start earlier")
     return first, last
 
 
@@ -445,71 +424,59 @@ def _count_warnings(
         scaled = isinstance(channel, Torque) and channel.constant
         if not scaled and np.all(values == np.round(values)) and np.unique(values).size > levels:
             counted = "thousandths" if key == "time" else "encoder counts, or thousandths"
-            yield (
-                f"{key}: all numbers are whole, and its unit is {channel.unit}: are they "
-                f"{counted}? Its unit is what a raw 1 is worth"
-            )
+            yield f"{key}: all numbers are whole: are they {counted}, not {channel.unit}?"
 
 
 def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list[str]) -> Inputs:
     """Read what acts on the joint in addition to the motor: mass, temperature, load torque."""
-    temperature = load_torque = None
+    values = dict[str, Array]()
     if (channel := source.temperature) is not None:
         zero = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
         if channel.unit not in zero:
             where = f"{table.label(channel.column)}, unit of temperature"
             raise BadInput(where, f"'{channel.unit}' is no temperature", "write 'degC' or 'K'")
-        degrees = _signed(channel, table) - zero[channel.unit]
-        temperature = Signal(grid.time, grid.linear(degrees))
-        low, high = temperature.values.min(), temperature.values.max()
-        steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
+        degrees = values["temperature"] = _signed(channel, table) - zero[channel.unit]
+        steps.append(f"temperature: {degrees.min():.3g} to {degrees.max():.3g} degC")
     if (channel := source.load_torque) is not None:
-        values = _scaled(channel, table, TORQUE[drive.motion], "load_torque")
-        load_torque = Signal(grid.time, grid.linear(values))
-        steps.append(f"load {TORQUE[drive.motion]}: as measured")
-    return Inputs(
-        source.added_mass,
-        source.radius,
-        temperature=temperature,
-        load_torque=load_torque,
-        others={str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others},
-    )
+        kind = TORQUE[drive.motion]
+        values["load_torque"] = _scaled(channel, table, kind, "load_torque")
+        steps.append(f"load {kind}: as measured")
+    signals = {key: Signal(grid.time, grid.linear(x)) for key, x in values.items()}
+    others = {str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others}
+    load, temperature = signals.get("load_torque"), signals.get("temperature")
+    mass, radius = source.added_mass, source.radius
+    return Inputs(mass, radius, load_torque=load, temperature=temperature, others=others)
 
 
-def _lag(channel: Channel | None) -> Lag | None:
-    """Return the low-pass that a channel passed before it was recorded, where one is known."""
-    if not isinstance(channel, Filtered) or channel.lowpass is None:
-        return None
-    return channel.lowpass, channel.lowpass_order
-
-
-def _excluded(
-    source: Columns, table: Table, grid: Grid, warnings: list[str]
-) -> tuple[Flags | None, Flags]:
-    """Flag where the drive is off, if a column gives it, and what is not to be compared."""
-    off = None
-    excluded = np.zeros(len(grid.time), dtype=np.bool_)
+def _excluding(
+    source: Columns,
+    table: Table,
+    grid: Grid,
+    stale: Flags,
+    speed: Array | None,
+    warnings: list[str],
+) -> dict[str, Flags]:
+    """Flag what is not to be compared, by the keys of `_EXCLUDING`."""
+    flags = {"held for long": grid.linear(stale.astype(np.float64)) > 0.0}
     if source.valid is not None:
-        valid = table.column(source.valid) != 0
         # between a valid and an invalid stamp the grid is not valid either
-        off = grid.linear(valid.astype(np.float64)) < 1.0
-        excluded |= off
+        flags["not valid"] = grid.linear((table.column(source.valid) != 0) * 1.0) < 1.0
     for start, stop in source.exclude:
         span = (grid.time >= start) & (grid.time <= stop)
         if not span.any():
             warnings.append(f"exclude: no sample lies in [{start:g}, {stop:g}] s")
-        excluded |= span
-    return off, excluded
+        flags["in 'exclude'"] = flags.get("in 'exclude'", False) | span
+    if source.steady and speed is not None:
+        slowest = 3.5 * (checks.quantisation(speed) or 0.0)
+        flags["as slow as a few steps of the speed"] = np.abs(speed) <= slowest
+    return flags
 
 
 # --- torque of the motor ------------------------------------------------------------------------
 
 
 def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effort, str, Law, str]:
-    """Take the torque from its channel, from current or voltage, or from a position target.
-
-    Returns the channel, what was measured, the law on the file's stamps, and the step in words.
-    """
+    """Return the torque's channel, what was measured, its law on the file's stamps, the step."""
     kind = TORQUE[drive.motor_motion]
     if (channel := source.torque) is not None:
         constant = [] if channel.constant is None else [channel.constant]
@@ -518,15 +485,14 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
         if constant:
             step = f"{kind}: the signal in {channel.unit} times {channel.constant}"
             if constant[0].endswith("/V"):
-                step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
-                step += "loss, and the key voltage takes it off"
-        return channel, kind, Law(torque, np.ones(torque.shape), held=channel.held), step
+                step += "; of the motor's own voltage the key voltage takes off the back-EMF"
+        return channel, kind, Law(torque, np.ones(torque.shape), held=bool(channel.held)), step
     if (motor := source.current or source.voltage) is not None:
         gives: units.Kind = "current" if isinstance(motor, Current) else "voltage"
         command = _scaled(motor, table, gives, gives)
         factor, back_emf, formula = _motor(gives, motor, table, drive)
         scale = np.full(command.shape, factor)
-        law = Law(command, scale, back_emf=back_emf, held=motor.held)
+        law = Law(command, scale, back_emf=back_emf, held=bool(motor.held))
         return motor, gives, law, f"{kind}: {formula}"
     assert source.target is not None
     target_law, gives, step = _target_law(source.target, table, drive)
@@ -534,23 +500,21 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
 
 
 def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.Kind, str]:
-    """Read the law of a position-controlled drive, what its controller gives, and the step.
-
-    The unit of the gains says what that is: the motor's torque, current, voltage, or the duty of a
-    supply.
-    """
+    """Read the law of a position-controlled drive, what its controller gives, and the step."""
     where, kind = table.label(target.column), TORQUE[drive.motor_motion]
     motion = drive.motor_motion if target.side == "motor" else drive.motion
     # the column in 'times' is the supply, and multiplies the scale below
     goal, _ = joint_signal(target.model_copy(update={"times": None}), "target", table, drive)
-    (gives, kp), kps = _gains(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
+    gives, *kps = _gain(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
     missing = [key for key in _REQUIRED.get(gives, ()) if getattr(target, key) is None]
     if missing:
         problem = f"is not given, and kp = {target.kp!r} needs it"
         raise BadInput(f"{where}, {missing[0]}", problem, f"add {missing[0]} = ...")
-    kd, kds, limit = 0.0, None, np.inf
+    kds, limit = [0.0, 0.0], np.inf
     if target.kd is not None:
-        (_, kd), kds = _gains(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
+        _, *kds = _gain(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
+    ranges = {"kp": kps, "kd": kds}
+    unknown = {gain: (low, high) for gain, (low, high) in ranges.items() if low < high}
     if target.limit is not None:
         limit = units.scale([target.limit], gives, f"{where}, limit")
     to_side = drive.ratio if target.side == "motor" else 1.0
@@ -559,19 +523,16 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
     if gives == "share" and target.times is not None:
         unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
         scale = scale * table.column(target.times) * unit
-    if (kps or kds) and np.ptp(scale):
+    if unknown and np.ptp(scale):
         problem = "is not known, and the supply that it is a share of changes"
         raise BadInput(f"{where}, kp", problem, "give one number for each gain")
-    if kps or kds:  # parameters are gains of a torque
+    if unknown:  # parameters are gains of a torque
         to_side, limit, scale = to_side * scale[0], limit * scale[0], np.ones(goal.shape)
-    kp, kd = kp * to_side, kd * to_side
-    ranges = {"kp": kps, "kd": kds}
-    unknown = {
-        n: (low * to_side, high * to_side) for n, r in ranges.items() if r for low, high in [r]
-    }
-    kd = 0.0 if kds else kd
+    unknown = {gain: (low * to_side, high * to_side) for gain, (low, high) in unknown.items()}
+    kp = to_side * (kps[1] if np.isfinite(kps[1]) else 1.0)
+    kd = 0.0 if "kd" in unknown else to_side * kds[1]
     # no drive holds a mean over the sample
-    held = target.held and target.sampled == "instant"
+    held = target.held if target.sampled == "instant" else False
     towards = target.value or f"column '{target.column}'"
     step = f"{kind}: kp = {target.kp} towards {towards}"
     step += f"; {formula}" if formula else ""
@@ -593,41 +554,32 @@ def _motor(
         return constant, 0.0, f"current times {channel.torque_constant}"
     assert channel.resistance is not None
     resistance = units.scale([channel.resistance], "resistance", f"{where}, resistance")
-    formula = f"kt V/R - kt^2 (motor speed)/R with kt = {channel.torque_constant}, "
-    formula += f"R = {channel.resistance}"
+    formula = f"kt V/R - kt^2 qd/R with kt = {channel.torque_constant}, R = {channel.resistance}"
     return constant / resistance, constant**2 * drive.ratio / resistance, formula
 
 
-def _gains(
-    text: str | list[str] | None, per: units.Kind, kinds: Sequence[units.Kind], where: str
-) -> tuple[tuple[units.Kind, float], tuple[float, float] | None]:
-    """Read a gain that is positive, and its range if it is not known; then it is the upper end."""
-    if text is None:
-        return (kinds[0], 1.0), (0.0, np.inf)
-    parts = [text] if isinstance(text, str) else text
-    read = [_gain(part, per, kinds, where) for part in parts]
-    for (_, value), part in zip(read, parts, strict=True):
-        if value < 0.0:
-            raise BadInput(
-                where, f"'{part}' is negative, and drives the joint away", "turn its sign"
-            )
-    if isinstance(text, str):
-        return read[0], None
-    (kind, low), (other, high) = read if len(read) == 2 else ((kinds[0], 0.0), (kinds[0], 0.0))
-    if kind != other or not low < high:
-        raise BadInput(where, f"{list(text)} is no range", "give two gains of one unit that rise")
-    return (kind, high), (low, high)
-
-
 def _gain(
-    text: str, per: units.Kind, kinds: Sequence[units.Kind], where: str
-) -> tuple[units.Kind, float]:
-    """Read a gain per angle or speed, and of which kind it is."""
-    for kind in kinds:
-        with suppress(Unfit):
-            return kind, units.product([text, units.si(per)], [kind])
-    wanted = ", ".join(f"'{units.si(kind) or 1}/({units.si(per)})'" for kind in kinds)
-    raise BadInput(where, f"'{text}' is no gain", f"give it in one of {wanted}")
+    text: str | list[str] | None, per: units.Kind, kinds: Sequence[units.Kind], where: str
+) -> tuple[units.Kind, float, float]:
+    """Read a gain per angle or speed: its kind and the ends of its range, alike if it is known."""
+    if text is None:
+        return kinds[0], 0.0, np.inf
+    ends = list[tuple[units.Kind, float]]()
+    for part in [text] if isinstance(text, str) else text:
+        for kind in kinds:
+            with suppress(Unfit):
+                ends.append((kind, units.product([part, units.si(per)], [kind])))
+                break
+        else:
+            wanted = ", ".join(f"'{units.si(kind) or 1}/({units.si(per)})'" for kind in kinds)
+            raise BadInput(where, f"'{part}' is no gain", f"give it in one of {wanted}")
+        if ends[-1][1] < 0.0:
+            problem = f"'{part}' is negative, and drives the joint away"
+            raise BadInput(where, problem, "turn its sign")
+    rises = len(ends) == 2 and ends[0][0] == ends[1][0] and ends[0][1] < ends[1][1]
+    if not isinstance(text, str) and not rises:
+        raise BadInput(where, f"{list(text)} is no range", "give two gains of one unit that rise")
+    return *ends[0], ends[-1][1]
 
 
 def _differentiated(position: Array, grid: Grid, processing: Processing) -> Array:

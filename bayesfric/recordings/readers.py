@@ -6,15 +6,15 @@ import csv
 import dataclasses
 import hashlib
 import io
-import itertools
 import re
 import warnings
-import zipfile
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -45,9 +45,7 @@ class TableOptions(Options):
         None, description="File format; by the suffix, or else by the content, if left out."
     )
     delimiter: Literal[",", ";", ":", "|", " ", "\t", "tab", "whitespace"] | None = Field(
-        None,
-        description="Text: the character between columns, or 'tab' or 'whitespace'; detected "
-        "if left out.",
+        None, description="Text: what is between columns; detected if left out."
     )
     decimal: Literal[".", ","] | None = Field(
         None, description="Text: decimal mark; detected if left out."
@@ -55,13 +53,11 @@ class TableOptions(Options):
     skip_rows: int = Field(0, ge=0, description="Text: lines to skip at the beginning of the file.")
     table: str | None = Field(
         None,
-        description="Nested files: dotted path of keys (or structs, or numbers of a list from 0) "
-        "to the rows or columns, path of groups, sheet, or topic of a ROS bag.",
+        description="Nested files: dotted path of keys (or structs, or numbers of a list from 0), "
+        "path of groups, sheet, or topic of a ROS bag.",
     )
     where: dict[str, bool | int | float | str] = Field(
-        default_factory=dict,
-        description="Use only the rows in which columns equal values, such as one episode of "
-        "many: { episode_index = 3 }.",
+        default_factory=dict, description="Only the rows of these values: { episode_index = 3 }."
     )
 
     @model_validator(mode="after")
@@ -72,10 +68,7 @@ class TableOptions(Options):
 
 
 def read_table(path: Path, options: TableOptions) -> Table:
-    """Open a recorded file; its columns are read when asked for.
-
-    The format goes by the suffix, or by the content, unless ``options`` give it.
-    """
+    """Open a recorded file, by its suffix, else by its content; columns are read when asked for."""
     kind = options.format or _folder_kind(path)
     if kind is None or not path.is_dir():
         hint = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag or of LeRobot"
@@ -199,10 +192,8 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
         return _read_trace(path, [text[n - 1] for n in lines], options)
     delimiter, decimal = _marks(head, options)
     rows = [_split(line, delimiter) for line in head]
-    flags = [[is_number(cell, decimal) for cell in row] for row in rows]
-    width = _width(flags)
-    header, first = _find_header(path, lines, rows, flags, width)
-    body = [text[n - 1] for n in lines[first:]]
+    table, first = _titled(path, lines, rows, decimal)
+    body, width = [text[n - 1] for n in lines[first:]], len(table.names)
     if not body:
         problem = "holds a header but no row of numbers"
         raise BadInput(str(path), problem, "check the recorder's export")
@@ -212,9 +203,9 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
             raise BadInput(f"{path}, line {n}", problem, "correct the row, or cut the file there")
     load = _numbers(body, delimiter) if decimal == "." else None
     load = load or _cells_by_pandas(path, body, width, delimiter, decimal)
-    table = _titled(path, load, rows, lines, header, first, width)
     comma = ("numbers have a decimal comma",) if decimal == "," else ()
-    return dataclasses.replace(table, decimal=decimal, notes=(*comma, *table.notes))
+    notes = (*comma, *table.notes)
+    return dataclasses.replace(table, load=load, decimal=decimal, notes=notes)
 
 
 def _numbers(body: Sequence[str], delimiter: str) -> LoadColumn | None:
@@ -251,36 +242,26 @@ def _cells_by_pandas(
 
 
 def _titled(
-    path: Path,
-    load: LoadColumn,
-    rows: Sequence[Sequence[str]],
-    lines: Sequence[int],
-    header: int | None,
-    first: int,
-    width: int,
-) -> Table:
-    """Make a table of cells, whose names and units are in the ``rows`` above it."""
+    path: Path, lines: Sequence[int], rows: Sequence[Sequence[str]], decimal: str = "."
+) -> tuple[Table, int]:
+    """Make a table without cells of the ``rows`` above them; returns the index of the first row."""
+    flags = [[is_number(cell, decimal) for cell in row] for row in rows]
+    width = _width(flags)
+    header, first = _find_header(path, lines, rows, flags, width)
     names, units, notes = [""] * width, list[str](), list[str]()
     top = first if header is None else header
     if header is not None:
         names = list(rows[header])
     if header is not None and first - header > 1:
-        if len(rows[header + 1]) == width:
-            units = [cell.strip("[]()") for cell in rows[header + 1]]
-            notes.append(f"line {lines[header + 1]} taken as a row of units and skipped")
-        else:
-            notes.append(f"line {lines[header + 1]} has {len(rows[header + 1])} cells, left out")
+        is_units = len(rows[header + 1]) == width
+        units = [cell.strip("[]()") for cell in rows[header + 1]] if is_units else []
+        what = "taken as units" if is_units else "left out"
+        notes.append(f"line {lines[header + 1]} {what}")
     if top:
         notes.append(f"{lines[top] - 1} lines above the table skipped")
-    return Table(
-        str(path),
-        names,
-        load,
-        units=units,
-        lines=lines[first:],
-        header=f"line {lines[top]}",
-        notes=tuple(notes),
-    )
+    used, at, load = lines[first:], f"line {lines[top]}", list[NDArray[Any]]().__getitem__
+    table = Table(str(path), names, load, units, lines=used, header=at, notes=tuple(notes))
+    return table, first
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -374,13 +355,12 @@ def _read_trace(path: Path, lines: Sequence[str], options: TableOptions) -> Tabl
             rows = blocks.setdefault(name[1].strip(), [])
         elif line.lstrip().startswith(";") and blocks:
             rows.append([cell.strip() for cell in line.split(";")[1:3]])
-    columns = {name: ("", f"{name}/time") for name in blocks}
-
-    def load(key: str) -> NDArray[Any]:
-        name = key if key in blocks else key.removesuffix("/time")
-        return np.array([row[name == key] for row in blocks[name]], dtype=object)
-
-    return _stamped(path, columns, load, options.table, time_unit="")
+    columns = dict[str, _Column]()
+    for variable, rows in blocks.items():
+        cells = np.array(rows, dtype=object).reshape(-1, 2)
+        columns[f"{variable}/time"] = "", "", cells[:, 0]
+        columns[variable] = "", f"{variable}/time", cells[:, 1]
+    return _stamped(path, columns, options.table)
 
 
 def _read_xlsx(path: Path, options: TableOptions) -> Table:
@@ -395,15 +375,9 @@ def _read_xlsx(path: Path, options: TableOptions) -> Table:
     texts = [[str(cell).strip() for cell in row] for row in cells]
     # titles above the table do not fill its columns
     rows = [row[: max((n for n, cell in enumerate(row, 1) if cell), default=0)] for row in texts]
-    flags = [[is_number(cell) for cell in row] for row in rows]
-    lines = range(1, len(frame) + 1)
-    header, first = _find_header(path, lines, rows, flags, _width(flags))
+    table, first = _titled(path, range(1, len(frame) + 1), rows)
     body = frame.iloc[first:].infer_objects()
-
-    def load(index: int) -> NDArray[Any]:
-        return body.iloc[:, index].to_numpy()
-
-    return _titled(path, load, rows, lines, header, first, frame.shape[1])
+    return dataclasses.replace(table, load=lambda index: body.iloc[:, index].to_numpy())
 
 
 def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
@@ -412,6 +386,8 @@ def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
         return wanted or names[0]
     if wanted is not None:
         raise _absent(f"{path}, table '{wanted}'", "no such table", names)
+    if not names:
+        raise BadInput(str(path), "holds no table of numbers", "check what was recorded")
     known = ", ".join(map(repr, names[:20]))
     raise BadInput(str(path), f"holds several tables ({known})", "name one with table")
 
@@ -428,7 +404,7 @@ def _absent(where: str, what: str, known: Sequence[str], otherwise: str = "") ->
 def _read_json(path: Path, options: TableOptions) -> Table:
     """Read a list of objects or of rows of numbers, or an object of lists; one column a key.
 
-    It is at the path ``options.table``, at the top, or the only list of objects in the file.
+    At the path ``options.table``, at the top, or the only one in the file.
     """
     data = _flat(_inside(str(path), parse_json(str(path), _read_text(path)), options.table))
     where = "" if options.table is None else f"{options.table}."
@@ -440,20 +416,15 @@ def _read_json(path: Path, options: TableOptions) -> Table:
     if not isinstance(data, dict) or not any(isinstance(value, list) for value in data.values()):
         problem = "is neither a list of objects nor an object of lists"
         raise BadInput(str(path), problem, "give the dotted path to it with table")
-    values = [value if isinstance(value, list) else None for value in data.values()]
-
-    def load(index: int) -> NDArray[Any]:
-        value = values[index]
-        return np.array(None) if value is None else _cells(value)
-
-    return Table(str(path), list(data), load)
+    cells = [
+        partial(_cells, v) if isinstance(v, list) else partial(np.array, None)
+        for v in data.values()
+    ]
+    return Table(str(path), list(data), lambda index: cells[index]())
 
 
 def _read_json_lines(path: Path, options: TableOptions) -> Table:
-    """Read an object a line, one column a key; blank lines are left out.
-
-    ``options.table`` is the path of keys to the object with the columns, the same in each line.
-    """
+    """Read an object a line, one column a key, at the path ``options.table`` in each."""
     text = enumerate(_read_text(path).split("\n"), start=1)
     places = {n: (f"{path}, line {n}", line) for n, line in text if line.strip()}
     parsed = ((where, parse_json(where, line)) for where, line in places.values())
@@ -490,55 +461,48 @@ def _flat(data: Any) -> Any:
 def _tables_in(data: Any, path: str = "") -> dict[str, Any]:
     """Find the tables by their paths inside an object or a list that is no table itself.
 
-    These are lists of objects, of rows that begin with time stamps, or of episodes: objects of
-    lists that are longer than there are objects, as samples are more than signals.
+    Lists of objects, of rows that begin with time stamps, or of episodes: objects of lists that are
+    longer than there are objects, as samples are more than signals.
     """
     if isinstance(data, list):
         values = [v for row in data if isinstance(row, dict) for v in row.values()]
-        if not any(isinstance(v, list) and len(v) > len(data) for v in values):
-            return {}
-        return {f"{path}{number}": item for number, item in enumerate(data)}
-    if not isinstance(data, dict):
-        return {}
-    lists = {key: v for key, v in data.items() if isinstance(v, list) and v}
-    objects = {key: v for key, v in lists.items() if all(isinstance(row, dict) for row in v)}
-    rows = {key: v for key, v in lists.items() if all(isinstance(row, list) for row in v)}
-    if len(rows) == len(lists) and all(map(_begins_with_stamps, rows.values())):
-        return {path + key: value for key, value in rows.items()}
-    inner = {key: _tables_in(v, f"{path}{key}.") or {path + key: v} for key, v in objects.items()}
-    return {key: value for tables in inner.values() for key, value in tables.items()}
+        episodes = any(isinstance(v, list) and len(v) > len(data) for v in values)
+        return {f"{path}{number}": item for number, item in enumerate(data)} if episodes else {}
+    items = data.items() if isinstance(data, dict) else ()
+    lists = {key: v for key, v in items if isinstance(v, list) and v}
+    if all(map(_begins_with_stamps, lists.values())):
+        return {path + key: rows for key, rows in lists.items()}
+    objects = {k: v for k, v in lists.items() if all(isinstance(row, dict) for row in v)}
+    inner = [_tables_in(v, f"{path}{key}.") or {path + key: v} for key, v in objects.items()]
+    return {key: value for tables in inner for key, value in tables.items()}
 
 
-def _begins_with_stamps(rows: list[list[Any]]) -> bool:
+def _begins_with_stamps(rows: list[Any]) -> bool:
     """Whether the first values of rows of several numbers increase."""
-    stamps = [row[0] for row in rows if len(row) > 1 and isinstance(row[0], int | float)]
-    return 1 < len(stamps) == len(rows) and all(a < b for a, b in itertools.pairwise(stamps))
+    lists = [row for row in rows if isinstance(row, list) and len(row) > 1]
+    stamps = [row[0] for row in lists if isinstance(row[0], int | float)]
+    return 1 < len(stamps) == len(rows) and all(a < b for a, b in pairwise(stamps))
 
 
 def _from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -> Table:
     """Make a table of rows, objects or lists of numbers, at some ``lines`` of the file."""
     if not rows:
         raise BadInput(str(path), "holds no rows", "check the recorder's export")
-    if isinstance(rows[0], list):
-        width = len(rows[0])
-        unlike = (k for k, x in enumerate(rows) if not isinstance(x, list) or len(x) != width)
-        if (k := next(unlike, None)) is not None:
-            problem = f"is no list of {width} values, as row 1 is"
-            raise BadInput(f"{path}, row {k + 1}", problem, "cut it out")
-        return Table(str(path), [""] * width, lambda i: _cells([x[i] for x in rows]), by_rows=True)
+    kind = "an object" if isinstance(rows[0], dict) else "a list"
+    width = len(rows[0]) if isinstance(rows[0], list) else 0
     # where only a later row holds an object, its cell is wrong
     if isinstance(rows[0], dict) and any(isinstance(value, dict) for value in rows[0].values()):
         rows = [*map(_flat, rows)]
     names = list(dict.fromkeys(key for row in rows if isinstance(row, dict) for key in row))
 
     def load(index: int) -> NDArray[Any]:
-        return _cells([row.get(names[index]) for row in rows])
+        return _cells([row[index] if width else row.get(names[index]) for row in rows])
 
-    table = Table(str(path), names, load, lines=lines, by_rows=True)
-    wrong = next((k for k, row in enumerate(rows) if not isinstance(row, dict)), None)
-    if wrong is not None:
-        where = f"{path}, {table.row(wrong)}"
-        raise BadInput(where, "is no object", "give an object a row")
+    table = Table(str(path), [""] * width or names, load, lines=lines, by_rows=True)
+    for number, row in enumerate(rows):
+        if not isinstance(row, list if width else dict) or (width and len(row) != width):
+            problem = f"is not {kind}{f' of {width} values' if width else ''} as row 1"
+            raise BadInput(f"{path}, {table.row(number)}", problem, "cut it out")
     return table
 
 
@@ -561,8 +525,8 @@ def _read_npy(path: Path, _: TableOptions) -> Table:
 
 def _read_npz(path: Path, _: TableOptions) -> Table:
     """Read an archive, one column an array, each when asked for; no pickle is opened."""
-    with zipfile.ZipFile(path) as archive:
-        names = [name.removesuffix(".npy") for name in archive.namelist()]
+    with np.load(path, allow_pickle=False) as arrays:
+        names = list(arrays.files)
 
     def load(index: int) -> NDArray[Any]:
         with np.load(path, allow_pickle=False) as arrays:
@@ -572,10 +536,7 @@ def _read_npz(path: Path, _: TableOptions) -> Table:
 
 
 def _read_parquet(path: Path, _: TableOptions) -> Table:
-    """Read a file, or LeRobot's folder, one column a field, each when asked for.
-
-    Signals of a LeRobot feature are also columns by their names: ``observation.state.knee.pos``.
-    """
+    """Read a file, or LeRobot's folder, one column a field, and a signal of a named feature."""
     pa, pq = (_library(path, name, "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     files = _parquet_files(path)[1:] if path.is_dir() else [path]
     if not files:
@@ -630,24 +591,17 @@ def _lerobot_names(path: Path) -> dict[str, list[str]]:
 
 
 def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Table:
-    """Read a file, one column a dataset, named by its path below the group that is the table.
-
-    Without ``options.table``, its path, the only group with datasets, else the whole file.
-    """
+    """Read a file, one column a dataset, named by its path below the group ``options.table``."""
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
-    columns: dict[str, tuple[str, str]] = {}
+    columns = dict[str, _Column]()
 
     def visit(name: str, item: Any) -> None:
         # MATLAB's internal datasets begin with #
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-            columns[name] = "", ""
+            columns[name] = "", "", partial(load, name)
 
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
-    if not columns:
-        raise BadInput(str(path), "holds no datasets of numbers", "check the export")
     wanted = (options.table or "").replace("." if matlab else "/", "/")
 
     def load(name: str) -> NDArray[Any]:
@@ -656,8 +610,7 @@ def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Ta
             kind = dataset.attrs.get("MATLAB_class", b"")
             # MATLAB's text and cells are numbers to HDF5
             if kind in (b"char", b"cell", b"function_handle") or dataset.dtype.kind not in "biuf":
-                text = kind.decode() if isinstance(kind, bytes) and kind else dataset.dtype.name
-                problem = f"holds {text}, not numbers"
+                problem = f"holds {kind.decode() if kind else dataset.dtype.name}, not numbers"
             elif dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
                 return np.empty(0)
             elif dataset.ndim > 2 and sorted(dataset.shape)[-3] > 1:
@@ -668,8 +621,11 @@ def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Ta
             values = np.asarray(dataset[()])
             return np.squeeze(values.T if matlab else values)
 
-    table = _stamped(path, columns, load, wanted, time_unit="")
-    return dataclasses.replace(table, by_rows=False)
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    if not columns:
+        raise BadInput(str(path), "holds no datasets of numbers", "check the export")
+    return _stamped(path, columns, wanted, by_rows=False)
 
 
 def _prefix(path: Path, names: Sequence[str], wanted: str | None) -> str:
@@ -707,57 +663,52 @@ def _read_matlab(path: Path, options: TableOptions) -> Table:
 # --- measurement data files: signals with time stamps of their own ------------------------------
 
 
+# Unit of a column, the name of the column of its time stamps, both may be empty, and its cells, or
+# what reads them.
+_Column = tuple[str, str, Any]
+
+
 def _stamped(
     path: Path,
-    columns: Mapping[str, tuple[str, str]],
-    load: Callable[[str], NDArray[Any]],
+    columns: Mapping[str, _Column],
     wanted: str | None,
     *,
-    time_unit: str = "s",
     notes: tuple[str, ...] = (),
+    by_rows: bool = True,
 ) -> Table:
-    """Make a table of columns in groups, of which ``wanted`` is one.
-
-    Each has a unit and the name of its time stamps, which are columns, too; empty for none.
-    """
-    prefix = _prefix(path, list(columns), wanted)
-    used = {name: column for name, column in columns.items() if name.startswith(prefix)}
-    stamps = dict.fromkeys(clock for _, clock in used.values() if clock)
-    used = {name: column for name, column in used.items() if name not in stamps}
-    names = [*stamps, *used]
+    """Make a table of columns in groups, of which ``wanted`` is one."""
+    stamps = {clock for _, clock, _ in columns.values()}
+    prefix = _prefix(path, [name for name in columns if name not in stamps], wanted)
+    used = {k.removeprefix(prefix): x for k, x in columns.items() if k.startswith(prefix)}
+    cells = [x for _, _, x in used.values()]
     return Table(
         str(path),
-        [name.removeprefix(prefix) for name in names],
-        lambda index: load(names[index]),
-        units=[*(time_unit for _ in stamps), *(unit for unit, _ in used.values())],
-        clocks={x.removeprefix(prefix): c.removeprefix(prefix) for x, (_, c) in used.items() if c},
+        list(used),
+        lambda index: np.asarray(x() if callable(x := cells[index]) else x),
+        units=[unit for unit, _, _ in used.values()],
+        clocks={k: clock.removeprefix(prefix) for k, (_, clock, _) in used.items() if clock},
         notes=notes,
-        by_rows=True,
+        by_rows=by_rows,
     )
 
 
 def _read_mdf(path: Path, options: TableOptions) -> Table:
     """Read an MDF file, one column a channel, named by its group if there are several."""
     mdf = _library(path, "asammdf", "mdf").MDF(path)
-    columns, places = dict[str, tuple[str, str]](), dict[str, tuple[int, int]]()
+    columns = dict[str, _Column]()
     for number, group in enumerate(mdf.groups):
         label = getattr(group.channel_group, "acq_name", "") or f"group {number}"
-        label = f"{label} {number}" if f"{label}/time" in places else label
-        master = mdf.masters_db.get(number)
-        clock = "" if master is None else f"{label}/time"
-        places[f"{label}/time"] = (number, -1)
+        label = f"{label} {number}" if f"{label}/time" in columns else label
+        master, clock = mdf.masters_db.get(number), ""
+        if master is not None:
+            clock = f"{label}/time"
+            columns[clock] = "s", "", partial(mdf.get_master, number)
         for index, channel in enumerate(group.channels):
             if index != master:
                 unit = mdf.get_channel_unit(group=number, index=index) or ""
-                columns[f"{label}/{channel.name}"] = unit, clock
-                places[f"{label}/{channel.name}"] = number, index
-
-    def load(name: str) -> NDArray[Any]:
-        group, index = places[name]
-        values = mdf.get_master(group) if index < 0 else mdf.get(group=group, index=index).samples
-        return np.asarray(values)
-
-    return _stamped(path, columns, load, options.table)
+                load = partial(mdf.get, group=number, index=index)
+                columns[f"{label}/{channel.name}"] = unit, clock, lambda load=load: load().samples
+    return _stamped(path, columns, options.table)
 
 
 def _read_tdms(path: Path, options: TableOptions) -> Table:
@@ -766,152 +717,136 @@ def _read_tdms(path: Path, options: TableOptions) -> Table:
     with tdms.open(path) as file:
         channels = {f"{g.name}/{c.name}": c for g in file.groups() for c in g.channels()}
         about = {name: (dict(c.properties), len(c)) for name, c in channels.items()}
-    waves = dict[tuple[Any, ...], str]()
-    columns, stamps = dict[str, tuple[str, str]](), dict[str, tuple[Any, ...]]()
     keys = ("wf_start_time", "wf_start_offset", "wf_increment")
     starts = [p["wf_start_time"] for p, _ in about.values() if p.get("wf_start_time") is not None]
-    for name, (properties, count) in about.items():
-        clock, group = "", name.rpartition("/")[0]
-        if properties.get("wf_increment"):
-            wave = (group, *map(properties.get, keys), count)
-            named = f"{name if group in (w[0] for w in waves) else group}/time"
-            clock = waves.setdefault(wave, named)
-            stamps[clock] = wave[1:]
-        columns[name] = str(properties.get("unit_string", "")), clock
 
-    def load(name: str) -> NDArray[Any]:
-        if name in stamps:
-            start, offset, step, count = stamps[name]
-            since = 0.0 if start is None else (start - min(starts)) / np.timedelta64(1, "s")
-            return np.asarray(since + (offset or 0.0) + step * np.arange(count))
-        group, _, channel = name.rpartition("/")
+    def stamps(start: Any, offset: float | None, step: float, count: int) -> NDArray[np.float64]:
+        since = 0.0 if start is None else (start - min(starts)) / np.timedelta64(1, "s")
+        return np.asarray(since + (offset or 0.0) + step * np.arange(count))
+
+    def load(group: str, channel: str) -> NDArray[Any]:
         with tdms.open(path) as file:
             return np.asarray(file[group][channel][:])
 
-    return _stamped(path, columns, load, options.table)
+    columns, waves = dict[str, _Column](), dict[Any, str]()
+    for name, (properties, count) in about.items():
+        group, _, channel = name.rpartition("/")
+        clock = ""
+        if properties.get("wf_increment"):
+            wave: Any = (group, *map(properties.get, keys), count)
+            named = f"{name if group in (w[0] for w in waves) else group}/time"
+            clock = waves.setdefault(wave, named)
+            columns.setdefault(clock, ("s", "", partial(stamps, *wave[1:])))
+        unit = str(properties.get("unit_string", ""))
+        columns[name] = unit, clock, partial(load, group, channel)
+    return _stamped(path, columns, options.table)
 
 
 def _read_ulog(path: Path, options: TableOptions) -> Table:
     """Read a PX4 log, one column a field of a topic; ``options.table`` is a topic."""
     log = _library(path, "pyulog", "ulog").ULog(str(path))
-    columns, values = dict[str, tuple[str, str]](), dict[str, NDArray[Any]]()
+    columns = dict[str, _Column]()
     for topic in log.data_list:
         label = f"{topic.name}_{topic.multi_id}" if topic.multi_id else topic.name
-        clock = f"{label}/time"
-        values[clock] = topic.data["timestamp"] / 1e6  # in us since boot
-        for field, data in topic.data.items():
-            if field != "timestamp":
-                columns[f"{label}/{field}"], values[f"{label}/{field}"] = ("", clock), data
+        fields, clock = dict(topic.data), f"{label}/time"
+        columns[clock] = "s", "", fields.pop("timestamp") / 1e6  # in us since boot
+        columns |= {f"{label}/{field}": ("", clock, data) for field, data in fields.items()}
     lost = sum(dropout.duration for dropout in log.dropouts)
     notes = (f"{len(log.dropouts)} dropouts of {lost} ms in all",) if lost else ()
-    return _stamped(path, columns, values.__getitem__, options.table, notes=notes)
+    return _stamped(path, columns, options.table, notes=notes)
 
 
 _WPILOG_TYPES = {"double": "<f8", "float": "<f4", "int64": "<i8", "boolean": "?"}
 
 
 def _read_wpilog(path: Path, options: TableOptions) -> Table:
-    """Read WPILib's data log, version 1.0, one column an entry of numbers.
+    """Read WPILib's data log, version 1.0: entries of numbers in any order, with stamps in us."""
 
-    Records are in any order, with stamps in us; the last one may be cut off.
-    """
-    data = path.read_bytes()
-    if not data.startswith(b"WPILOG"):
+    def number(stream: io.BytesIO, size: int) -> int:
+        return int.from_bytes(stream.read(size), "little")
+
+    data = io.BytesIO(path.read_bytes())
+    if not data.read(8).startswith(b"WPILOG"):
         raise BadInput(str(path), "is no WPILib data log", "give the .wpilog of a robot")
-
-    def text(at: int) -> str:
-        size = int.from_bytes(data[at : at + 4], "little")
-        return data[at + 4 : at + 4 + size].decode()
-
+    data.read(number(data, 4))
     entries, records = dict[int, str](), dict[str, tuple[str, list[tuple[int, bytes]]]]()
-    at = 12 + int.from_bytes(data[8:12], "little")
-    while at < len(data):
-        head, parts = data[at], [at + 1]
-        for width in ((head & 3) + 1, (head >> 2 & 3) + 1, (head >> 4 & 7) + 1):
-            parts.append(parts[-1] + width)
-        entry, size, stamp = (
-            int.from_bytes(data[a:b], "little") for a, b in itertools.pairwise(parts)
-        )
-        begin, at = parts[-1], parts[-1] + size
-        if entry == 0 and data[begin] == 0:  # an entry starts: its number, name and type
-            name = text(begin + 5)
-            kind = text(begin + 9 + len(name.encode()))
-            name = entries[int.from_bytes(data[begin + 1 : begin + 5], "little")] = name.lstrip("/")
-            records.setdefault(name, (kind, []))
-        elif entry in entries and at <= len(data):
-            records[entries[entry]][1].append((stamp, data[begin:at]))
-    columns, values = dict[str, tuple[str, str]](), dict[str, NDArray[Any]]()
+    while head := data.read(1):
+        widths = (head[0] & 3) + 1, (head[0] >> 2 & 3) + 1, (head[0] >> 4 & 7) + 1
+        entry, size, stamp = (number(data, width) for width in widths)
+        payload = data.read(size)
+        if entry == 0 and payload[:1] == b"\0":  # an entry starts: its number, name and type
+            start = io.BytesIO(payload[1:])
+            entry, name = number(start, 4), start.read(number(start, 4)).decode().lstrip("/")
+            entries[entry] = name
+            records.setdefault(name, (start.read(number(start, 4)).decode(), []))
+        elif entry in entries and len(payload) == size:
+            records[entries[entry]][1].append((stamp, payload))
+    columns = dict[str, _Column]()
     for name, (kind, rows) in records.items():
-        number = _WPILOG_TYPES.get(kind.removesuffix("[]"))
-        if rows and number:
-            rows.sort(key=lambda row: row[0])
-            columns[name] = "", f"{name}/time"
-            values[f"{name}/time"] = np.array([stamp for stamp, _ in rows]) / 1e6
+        dtype = _WPILOG_TYPES.get(kind.removesuffix("[]"))
+        if rows and dtype:
+            stamps, cells = zip(*sorted(rows, key=lambda row: row[0]), strict=True)
+            columns[f"{name}/time"] = "s", "", np.array(stamps) / 1e6
+            values = np.frombuffer(b"".join(cells), dtype)
             if kind.endswith("[]"):
-                values[name] = _cells([np.frombuffer(cell, number) for _, cell in rows])
-            else:
-                values[name] = np.frombuffer(b"".join(cell for _, cell in rows), number)
-    return _stamped(path, columns, values.__getitem__, options.table)
+                values = _cells([np.frombuffer(cell, dtype) for cell in cells])
+            columns[name] = "", f"{name}/time", values
+    return _stamped(path, columns, options.table)
 
 
 # --- ROS ----------------------------------------------------------------------------------------
 
-_STAMP, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
+_TIMES: dict[str, Any] = {
+    "builtin_interfaces/msg/Time": np.datetime64,
+    "builtin_interfaces/msg/Duration": np.timedelta64,
+}
 # Units by message definition, by the beginning of a column's name.
 _UNITS = {
     # an effort is in N m, or in A, as its driver has it
     "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s"},
     "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
 }
-# Message types without measurements.
-_NOT_MEASURED = (
-    "rcl_interfaces/", "rosbag2_interfaces/", "rosgraph_msgs/", "diagnostic_msgs/", "tf2_msgs/",
-    "std_msgs/msg/String",
-)  # fmt: skip
+# Packages of messages, and messages, without measurements.
+_NOT_MEASURED: tuple[str, ...] = (
+    "rcl_interfaces",
+    "rosbag2_interfaces",
+    "rosgraph_msgs",
+    "diagnostic_msgs",
+    "tf2_msgs",
+)
+_NOT_MEASURED += ("std_msgs/msg/String",)
 
 
 def _read_bag(path: Path, options: TableOptions) -> Table:
-    """Read one topic, a row a message; ``options.table`` is the topic, if there are several.
+    """Read one topic, ``options.table``, a row a message, with the time that it was ``received``.
 
     Columns are fields by path, as ``wrench.torque.z`` and ``data[3]``, and joints' signals by name,
-    as ``effort[knee]``. ``received`` and stamps are in s since the first message.
+    as ``effort[knee]``.
     """
     bags, types = (_library(path, f"rosbags.{name}", "ros") for name in ("highlevel", "typesys"))
     # bags of sqlite3 before ROS 2 Iron hold no definitions
     latest = types.get_typestore(types.Stores.LATEST)
     with bags.AnyReader([path], default_typestore=latest) as reader:
         topic, kind, connections = _topic(path, reader, options.table)
-        received, rows = list[int](), list[dict[str, Any]]()
+        rows = list[dict[str, Any]]()
         for connection, stamp, raw in reader.messages(connections=connections):
-            received.append(int(stamp))
-            rows.append(_fields(reader.deserialize(raw, connection.msgtype)))
+            row = {"received": np.datetime64(stamp, "ns")}
+            rows.append(row | _fields(reader.deserialize(raw, connection.msgtype)))
     # of the first message that has each: joints may take turns
     first = {name: value for row in reversed(rows) for name, value in row.items()}
     names = list(dict.fromkeys(name for row in rows for name in row))
     by_name = _UNITS.get(kind, {}).items()
     units = [next((unit for begin, unit in by_name if x.startswith(begin)), "") for x in names]
-    units = ["s" if _is_time(first[x]) else unit for x, unit in zip(names, units, strict=True)]
+    times = (np.datetime64, np.timedelta64)
+    units = ["s" if isinstance(first[x], times) else u for x, u in zip(names, units, strict=True)]
 
     def load(index: int) -> NDArray[Any]:
-        if index == 0:
-            return _since_first(received)
-        name = names[index - 1]
-        values: list[Any] = [row.get(name) for row in rows]
-        if not _is_time(first[name]):
-            return _cells(values)
-        stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]
-        if first[name].__msgtype__ == _STAMP:
-            return _since_first(stamps)
-        return np.array([stamp / 10**9 for stamp in stamps])
+        values = [row.get(names[index]) for row in rows]
+        time = isinstance(first[names[index]], times)
+        return np.array(values, first[names[index]].dtype) if time else _cells(values)
 
-    return Table(
-        f"{path}, table '{topic}'",
-        ["received", *names],
-        load,
-        units=["s", *units],
-        notes=(f"topic {topic} ({kind}), {len(rows)} messages",),
-        by_rows=True,
-    )
+    where, notes = f"{path}, table '{topic}'", (f"topic {topic} ({kind}), {len(rows)} messages",)
+    return Table(where, names, load, units=units, notes=notes, by_rows=True)
 
 
 def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Sequence[Any]]:
@@ -919,20 +854,12 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
     topics = {name: topic for name, topic in reader.topics.items() if topic.msgcount}
     types = {name: topic.msgtype or "several types" for name, topic in topics.items()}
     useful = [name for name, kind in types.items() if not kind.startswith(_NOT_MEASURED)]
-    if wanted is None and len(useful) == 1:
-        wanted = useful[0]
-    where = str(path) if wanted is None else f"{path}, table '{wanted}'"
-    if wanted is None or wanted not in topics:
-        known = ", ".join(f"'{name}'" for name in (useful or list(topics))[:20])
-        problem = "there is no message on this topic" if wanted else "holds no one topic of numbers"
-        hint = f"name one of {known} with table" if known else "check what was recorded"
-        raise BadInput(where, problem, hint)
-    kind = types[wanted]
-    if kind not in reader.typestore.fielddefs:
+    name = _one_of(path, list(topics) if wanted or not useful else useful, wanted)
+    if (kind := types[name]) not in reader.typestore.fielddefs:
         problem = f"holds messages of {kind}, of which there is no one definition"
         hint = "record one type a topic, as MCAP, which holds definitions, or 'ros2 bag convert' it"
-        raise BadInput(where, problem, hint)
-    return wanted, kind, topics[wanted].connections
+        raise BadInput(f"{path}, table '{name}'", problem, hint)
+    return name, kind, topics[name].connections
 
 
 def _fields(message: Any) -> dict[str, Any]:
@@ -946,7 +873,9 @@ def _fields(message: Any) -> dict[str, Any]:
         if isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
             for k, part in enumerate(value):
                 walk(part, f"{name}[{k}]")
-        elif hasattr(value, "__msgtype__") and not _is_time(value):
+        elif (kind := getattr(value, "__msgtype__", None)) in _TIMES:
+            values[name] = _TIMES[kind](int(value.sec) * 10**9 + int(value.nanosec), "ns")
+        elif kind:
             for field in dataclasses.fields(value):
                 if not field.name.startswith("_"):
                     inner = f"{name}.{field.name}" if name else field.name
@@ -959,15 +888,6 @@ def _fields(message: Any) -> dict[str, Any]:
 
     walk(message, "")
     return values
-
-
-def _is_time(value: Any) -> bool:
-    return getattr(value, "__msgtype__", None) in (_STAMP, _DURATION)
-
-
-def _since_first(stamps: list[int]) -> NDArray[np.float64]:
-    """Convert stamps in ns to seconds since the first, without loss."""
-    return np.array([(stamp - stamps[0]) / 10**9 for stamp in stamps])
 
 
 # Reader, suffixes and first bytes of each format.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import implausible
@@ -49,34 +49,21 @@ _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "voltage": ("voltage",),
 }
 # Symbols in names, in small letters, and the unit that each is, after any prefix.
-_SYMBOLS = {
-    **{"s": "s", "sec": "s", "rad": "rad", "deg": "deg", "rpm": "rpm"},
-    **{"nm": "N m", "n m": "N m", "a": "A", "amp": "A", "v": "V"},
-}
-_PREFIXES = {
-    "": "",
-    "µ": "u",
-    "μ": "u",
-    **{p: p for p in ("n", "u", "m", "c", "d", "da", "h", "k")},
-}
+_SYMBOLS = {"sec": "s", "nm": "N m", "n m": "N m", "a": "A", "amp": "A", "v": "V"}
+_SYMBOLS |= {symbol: symbol for symbol in ("s", "rad", "deg", "rpm")}
+_PREFIXES = {"": "", "µ": "u", "μ": "u"} | {p: p for p in ("n", "u", "m", "c", "d", "da", "h", "k")}
 _ANGLES = ("rad", "radian", "radians", "deg", "degree", "degrees", "turn", "turns", "rev", "revs")
 _POUNDS = [(a, b) for a in ("lb", "lbf", "lbs", "oz", "ozf") for b in ("in", "ft")]
+_POUNDS += [(b, a) for a, b in _POUNDS] + [("kg", "cm"), ("kgf", "cm")]
 # Units in names, as names write them: a link, a hand, a foot, a toe or a quad is none.
 _SPELT = {
     **{f"{p}{word}": f"{x}{unit}" for word, unit in _SYMBOLS.items() for p, x in _PREFIXES.items()},
+    **{word: word for word in ("secs", "second", "rps", "dps", "amps", "ampere", "amperes", "°")},
+    **{word: word for word in (*_ANGLES, "rotations", "volt", "volts", "mm", "lbf", "kgf")},
     **{f"{p}seconds": f"{p}seconds" for p in ("", "milli", "micro", "nano")},
-    **{word: word for word in ("secs", "second", "rps", "dps", "amps", "ampere", "amperes")},
-    **{word: word for word in (*_ANGLES, "rotations", "volt", "volts", "mm", "lbf", "kgf", "°")},
     **{"millis": "ms", "micros": "us", "m s": "m/s", "mm s": "mm/s", "nmm": "N mm", "ncm": "N cm"},
-    **{"metre": "m", "newton": "N"},
-    **{"rads": "rad/s", "radps": "rad/s", "degs": "deg/s", "degps": "deg/s"},
-    **{
-        f"{a}{gap}{b}": f"{a} {b}"
-        for pair in _POUNDS
-        for a, b in (pair, pair[::-1])
-        for gap in (" ", "")
-    },
-    **{f"{a}{gap}cm": f"{a} cm" for a in ("kg", "kgf") for gap in (" ", "")},
+    **{"metre": "m", "newton": "N", "rads": "rad/s", "radps": "rad/s", "degs": "deg/s"},
+    **{"degps": "deg/s", **{f"{a}{gap}{b}": f"{a} {b}" for a, b in _POUNDS for gap in (" ", "")}},
     **{f"{angle} {time}": f"{angle}/{time}" for angle in _ANGLES for time in ("s", "sec", "min")},
 }
 # Words that are units in one language or trade, and another elsewhere.
@@ -104,10 +91,8 @@ _WRITTEN = (
 _PART_OF_SECOND = re.compile(r"(?i)(.*?)(n|u|µ|nano|micro)_?s(?:ec(?:ond)?s?)?")
 _SECONDS = ("sec", "secs", "s", "seconds", "second")
 # Objects of a drive by CiA 402, and what names say of them.
-_OBJECTS = {
-    **{"6064": "position", "606C": "velocity", "6077": "torque", "6078": "current"},
-    **{"607A": "target_position", "60FF": "target_velocity", "6071": "target_torque"},
-}
+_OBJECTS = {"6064": "position", "606C": "velocity", "6077": "torque", "6078": "current"}
+_OBJECTS |= {"607A": "target_position", "60FF": "target_velocity", "6071": "target_torque"}
 _OBJECT = re.compile(rf"(?i)(?<![0-9a-z])(?:0x)?({'|'.join(_OBJECTS)})h?(?![0-9a-z])")
 
 
@@ -142,17 +127,14 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     """Choose the columns of one joint, which may be named, by their names."""
     table, where = _one_episode(table)
     problems = dict[str | int, str]()
-    signals = sorted(
-        (s for s in _signals(table, problems) if not s[2].wanted), key=lambda s: s[2].rank
-    )
+    signals = [s for s in _signals(table, problems) if not s[2].wanted]
+    signals.sort(key=lambda s: s[2].rank)
     ranges = dict[str, float]()
     for _, values, name in signals:
         if name.channel == "position":
             ranges.setdefault(name.joint, float(np.nanmax(values) - np.nanmin(values)))
     if joint is None:  # a constant column is no torque; a joint that is named may stand still
-        signals = [
-            s for s in signals if s[2].channel not in _DRIVES or np.nanmax(s[1]) > np.nanmin(s[1])
-        ]
+        signals = [s for s in signals if s[2].channel not in _DRIVES or not _is_constant(s[1])]
     joints, least = tuple(ranges), 0.01 * max(ranges.values(), default=0.0)
     # a joint that stands still says nothing; noise of its encoder is no motion
     moving = (j for j in joints if ranges[j] > least) if joint is None else joints
@@ -176,7 +158,8 @@ def recognise(table: Table, joint: str | None = None) -> Log:
             fitting = [s for s in clocks if s[0] == clock] or _of_joint(clocks, label) or clocks
         if fitting:
             column, values, name = fitting[0]
-            rivals = [c for c, x, n in fitting if n.rank == name.rank and not _same(x, values)]
+            equal = [(c, x) for c, x, n in fitting if n.rank == name.rank and not _is_constant(x)]
+            rivals = [c for c, x in equal if not np.array_equal(x, values, equal_nan=True)]
             if rivals and channel != "time":
                 problems[OPEN] = f"the {channel}: {' or '.join([column, *rivals])}, which differ"
                 column, name = OPEN, name._replace(unit="")
@@ -193,29 +176,20 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     if chosen.get("time", (OPEN, ""))[0] != OPEN:
         chosen = {"time": _checked_time(table, *chosen.pop("time"), chosen, problems), **chosen}
     taken = [column for column, _ in chosen.values()]
-    return Log(
-        chosen,
-        columns,
-        label,
-        # a column that names no joint is none to choose
-        tuple(filter(None, joints)) * (len(joints) > 1),
-        where,
-        tuple(problems[column] for column in dict.fromkeys(taken) if column in problems),
-        decoding,
-    )
+    wrong = tuple(problems[column] for column in dict.fromkeys(taken) if column in problems)
+    # a column that names no joint is none to choose
+    joints = tuple(filter(None, joints)) * (len(joints) > 1)
+    return Log(chosen, columns, label, joints, where, wrong, decoding)
 
 
 Signals = list[tuple[str, Array, "Named"]]
 
 
 def _clocks(signals: Signals) -> Signals:
-    """Sort the columns named as time, those first that increase; none that stands still.
-
-    Nor one that goes back and is known by its unit only, as a latency in ms.
-    """
+    """Sort the columns of time, increasing ones first; none that stands still, or is a latency."""
     faults = list[tuple[int, bool, int]]()
     for k, (column, values, _) in enumerate(signals):
-        if np.nanmax(values) > np.nanmin(values):
+        if not _is_constant(values):
             steps = np.diff(checks.unwrapped(values)[0][np.isfinite(values)])
             fault = 2 if np.any(steps < 0.0) else int(np.mean(steps == 0.0) > 0.5)
             faults.append((fault, " + " not in column, k))
@@ -244,18 +218,12 @@ def increases(values: Array, *, steadily: float = 0.9) -> Array | None:
     return steps if np.mean(regular) > steadily else None
 
 
-def _same(column: Array, other: Array) -> bool:
-    """Whether a column repeats another, or stands still."""
-    return not np.nanmax(column) > np.nanmin(column) or np.array_equal(
-        column, other, equal_nan=True
-    )
+def _is_constant(values: Array) -> bool:
+    return not np.nanmax(values) > np.nanmin(values)
 
 
 def with_clocks(table: Table) -> Table:
-    """Pair columns with the time stamps that share their group, word or number, if several differ.
-
-    Recognised columns that cannot be paired so are ``unpaired``.
-    """
+    """Pair columns with the stamps that share their group, word or number, if stamps differ."""
     table = _with_sums(table)
     marks = list(table.units or [""] * len(table.names))
     times, dates = dict[str, Array](), dict[str, np.datetime64]()
@@ -282,9 +250,8 @@ def with_clocks(table: Table) -> Table:
     pairs, unpaired = dict[str, str](), dict[str, str]()
     for name in (name for name in table.names if name not in times):
         words = _place(name, grouped)
-        shared = sorted(
-            (len(words & _place(clock, grouped) - _NO_PLACE), clock) for clock in clocks
-        )
+        common = {clock: words & _place(clock, grouped) - _NO_PLACE for clock in clocks}
+        shared = sorted((len(common[clock]), clock) for clock in clocks)
         if shared[-1][0] > shared[-2][0]:
             pairs[name] = shared[-1][1]
         elif named(name).channel:
@@ -302,10 +269,8 @@ def _with_sums(table: Table) -> Table:
         of_seconds = next((x for s in _SECONDS if part and (x := f"{part[1]}{s}") in names), None)
         with suppress(BadInput):
             if part and of_seconds is not None:
-                seconds = table.values(of_seconds)
-                share = table.values(name) * units.scale(
-                    ["ns" if part[2][0] in "nN" else "us"], "time"
-                )
+                seconds, unit = table.values(of_seconds), "ns" if part[2][0] in "nN" else "us"
+                share = table.values(name) * units.scale([unit], "time")
                 if np.nanmax(share) < 1.0 and not np.any(seconds % 1.0 > 0.0):
                     sums[f"{of_seconds} + {name}"] = seconds - seconds[0] + share
                     marks.append("s")
@@ -372,12 +337,10 @@ def _checked_time(
         return column, unit
     time = time[np.isfinite(time)]
     scale = units.scale([unit or "s"], "time")
-    period, span = scale * float(np.median(np.diff(time))), scale * float(time[-1] - time[0])
-    if unit and implausible(period, span):
-        problems[column] = (
-            f"time: in {unit} its rows are {period:.3g} s apart, of no joint's motion"
-        )
-        return column, ""
+    period = scale * float(np.median(np.diff(time)))
+    if unit and implausible(period, scale * float(time[-1] - time[0])):
+        text = f"time: in {unit} its rows are {period:.3g} s apart, of no joint's motion"
+        problems[column], unit = text, ""
     return column, unit
 
 
@@ -500,7 +463,7 @@ def _unit_of(channel: str, text: str) -> str:
     short = text if text.startswith("M") else text.lower()
     for spelt in dict.fromkeys((_SPELT.get(short, text), text)):
         is_unit = any(map(str.isalpha, spelt)) or "°" in spelt
-        for kind in _KINDS[channel] if is_unit else ():
-            if units.is_of(spelt, kind):
-                return spelt if units.scale([spelt], kind) <= 1e3 else ""
+        with suppress(Unfit):
+            if is_unit:
+                return spelt if abs(units.quantity(spelt, *_KINDS[channel])) <= 1e3 else ""
     return ""

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.base.options import Options, configuration_error
 from bayesfric.recordings import units
+from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.readers import TableOptions
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import Hertz, HertzOrOff, Kilograms, Metres, Seconds
@@ -50,36 +51,23 @@ class Channel(Options):
 
     column: str | int = Field(description="Column: its name in the header, or its number from 1.")
     unit: str = Field(
-        description="Unit of the raw numbers, such as 'rad', 'rpm', 'N m', 'turn/4096', "
-        "'9.84e-5 N m' (then a raw 1 is that much), or 'SI' for the SI unit."
+        description="Unit of a raw 1, such as 'rad', 'rpm', 'turn/4096', '9.84e-5 N m' or 'SI'."
     )
     sign: Literal[1, -1, "by-speed"] = Field(
         1,
-        description="-1 turns the signal around; 'by-speed', of torque and current, is for a sign "
-        "that means driving (+) or braking (-) in place of a direction.",
+        description="-1 turns the signal around; 'by-speed', of torque and current: its sign means "
+        "driving (+) or braking (-).",
     )
     twos_complement: int | None = Field(
-        None,
-        ge=2,
-        le=53,
-        description="Bits of a signed number recorded as unsigned: values from 2**(bits-1) up "
-        "get 2**bits subtracted.",
+        None, ge=2, le=53, description="Bits of a signed number that was recorded as unsigned."
     )
     sign_bit: int | None = Field(
-        None,
-        ge=1,
-        le=52,
-        description="Bit that is the sign of a number recorded as unsigned: values from 2**bit up "
-        "are negative, by as much as they are above it.",
+        None, ge=1, le=52, description="Bit that is the sign; values from 2**bit up are negative."
     )
     times: str | int | None = Field(
-        None,
-        description="A further column multiplied in sample by sample, such as the supply voltage "
-        "that a duty cycle refers to.",
+        None, description="Column multiplied in, such as the supply voltage of a duty cycle."
     )
-    times_unit: str = Field(
-        "", description="Unit of the column in 'times'; empty for a plain number."
-    )
+    times_unit: str = Field("", description="Unit of 'times'; empty for a plain number.")
 
     @field_validator("unit", "times_unit")
     @classmethod
@@ -114,10 +102,14 @@ class Filtered(Channel):
 
     lowpass: Hertz | None = Field(
         None,
-        description="Cut-off (-3 dB) of the causal low-pass that the drive applied before it was "
-        "recorded; what that took in the band is given back.",
+        description="Cut-off (-3 dB) of the causal low-pass that it passed in the drive; undone.",
     )
     lowpass_order: Literal[1, 2] = Field(1, description="Order of that filter; 2 is Butterworth.")
+
+    @property
+    def lag(self) -> Lag | None:
+        """Cut-off in Hz and order of that filter, if it is known."""
+        return None if self.lowpass is None else (self.lowpass, self.lowpass_order)
 
 
 class Velocity(Position, Filtered):
@@ -127,25 +119,22 @@ class Velocity(Position, Filtered):
 class Effort(Channel):
     """What drives the joint: motor torque, force, current or voltage; its number may be known."""
 
-    column: str | int = Field(
-        "", description="Column: its name in the header, or its number from 1; or 'value'."
-    )
-    unit: str = Field("", description="Unit of the column's raw numbers, as of the position.")
+    column: str | int = Field("", description="Column: its name or number from 1; or 'value'.")
+    unit: str = Field("", description="Unit of a raw 1, as of the position.")
     value: float | str | None = Field(
         None,
         description="What it is throughout, in place of a column: 0 of a motor that is off, or "
-        "text with its unit, such as '24 V'. 'torque = 0' is short for it.",
+        "text such as '24 V'; 'torque = 0' is short for it.",
     )
     sampled: Literal["instant", "average", "start", "end"] = Field(
         "instant",
-        description="When a sample was taken: 'instant', at its stamp; or a mean over one "
-        "sampling period, of which the stamp is the middle ('average'), the 'start' or the 'end'. "
-        "The motion is then averaged alike.",
+        description="'instant': measured at its stamp; else a mean over one sampling period, of "
+        "which the stamp is the middle ('average'), the 'start' or the 'end'.",
     )
-    held: bool = Field(
-        False,
-        description="true: a command that the drive holds until the next sample, so that it acts "
-        "half a sample later.",
+    held: bool | None = Field(
+        None,
+        description="true: a command that the drive holds until the next sample; false: it passes "
+        "in a line. Left out: a line; of a target without a torque a parameter, target.smoothness.",
     )
 
     @model_validator(mode="before")
@@ -156,10 +145,9 @@ class Effort(Channel):
 
     @model_validator(mode="after")
     def _column_or_value(self) -> Self:
-        given = [key for key in ("column", "value") if getattr(self, key) not in ("", None)]
-        if len(given) != 1:
-            got = "both" if given else "neither"
-            raise Unfit("a 'column', or a 'value' in place of it", f"got {got}")
+        if (self.column == "") == (self.value is None):
+            got = "got neither" if self.value is None else "got both"
+            raise Unfit("a 'column', or a 'value' in place of it", got)
         if self.value is None and not self.unit:
             raise Unfit("the 'unit' of the column", "got none")
         if isinstance(self.value, float) and self.value:
@@ -188,9 +176,7 @@ class Current(Effort, Filtered):
 class Voltage(Effort):
     """The motor voltage; torque = kt V/R - kt**2 (motor speed)/R."""
 
-    torque_constant: TorqueConstant = Field(
-        description="Torque per current kt, such as '0.354 N m/A'."
-    )
+    torque_constant: TorqueConstant = Field(description="Torque per current, as of the current.")
     resistance: Resistance = Field(description="Winding resistance R, such as '3.4 ohm'.")
 
 
@@ -204,9 +190,9 @@ class Target(Effort, Position):
     kp: str | list[str] | None = Field(
         None,
         description="Gain of the drive's controller: '8 N m/rad', '3 A/rad', '5 V/rad', or "
-        "'2 1/rad' for a duty, 1 being the whole of the supply in 'times'. It drives the motor. "
-        "A range such as ['5 N m/rad', '20 N m/rad'] makes it a parameter, drive.kp; if left out "
-        "it is any, or 1 N m/rad where nothing else says how large a torque is.",
+        "'2 1/rad' for a duty, 1 being the whole of the supply in 'times'. A range such as "
+        "['5 N m/rad', '20 N m/rad'] makes it a parameter, drive.kp; if left out it is any, or "
+        "1 N m/rad where nothing else says how large a torque is.",
         examples=["8 N m/rad", ["5 N m/rad", "20 N m/rad"]],
     )
     kd: str | list[str] | None = Field(
@@ -214,20 +200,14 @@ class Target(Effort, Position):
         description="Its gain for the speed, such as '0.1 N m s/rad', or a range (drive.kd); left "
         "out it counts as viscous friction, from which no motion below the limit distinguishes it.",
     )
-    velocity_filter: Seconds | None = Field(
-        None, description="Lag of the speed that the drive uses, s; 0 for none."
-    )
-    loop: Seconds | None = Field(
-        None, description="Period at which the drive closes its loop, s; 0 for a continuous one."
-    )
-    limit: str | None = Field(
-        None, description="What the controller gives at most, such as '5 V' or '1'."
-    )
+    velocity_filter: Seconds | None = Field(None, description="Lag of the drive's speed, s, or 0.")
+    loop: Seconds | None = Field(None, description="Period of its loop, s; 0: continuous.")
+    limit: str | None = Field(None, description="What the controller gives at most: '5 V' or '1'.")
     torque_constant: TorqueConstant | None = Field(
         None, description="Torque per current, where the controller gives no torque."
     )
     resistance: Resistance | None = Field(
-        None, description="Winding resistance, where the controller gives a voltage or duty."
+        None, description="Winding resistance, where it gives a voltage or duty."
     )
 
 
@@ -236,8 +216,7 @@ class Columns(Options):
 
     time: Channel | None = Field(None, description="The time channel.")
     rate: Hertz | None = Field(
-        None,
-        description="Sampling rate in Hz, or text such as '1 kHz', if there is no time channel.",
+        None, description="Sampling rate in Hz, or '1 kHz', if there is no time channel."
     )
     position: Position | None = Field(
         None,
@@ -245,9 +224,7 @@ class Columns(Options):
         "may hold nothing that depends on the position.",
     )
     velocity: Velocity | None = Field(
-        None,
-        description="The velocity channel; if given it is used in place of the differentiated "
-        "position.",
+        None, description="The velocity channel, in place of the differentiated position."
     )
     torque: Torque | None = Field(None, description="The torque channel, or ...")
     current: Current | None = Field(None, description="... the current channel, or ...")
@@ -259,43 +236,34 @@ class Columns(Options):
     )
     load_torque: Channel | None = Field(
         None,
-        description="Torque (or force) that acts on the load from outside, as a dynamometer "
-        "measures it, positive where it pushes towards higher positions.",
+        description="Torque (or force) on the load from outside, as a dynamometer measures it, "
+        "positive towards higher positions.",
     )
     temperature: Channel | None = Field(
-        None,
-        description="The joint's temperature, in 'degC' or 'K', for losses that depend on it.",
+        None, description="The joint's temperature, in 'degC' or 'K'."
     )
     others: tuple[str | int, ...] = Field(
-        (),
-        description="Further columns, such as another joint's position, speed or torque, that are "
-        "asked whether they explain the torque.",
+        (), description="Further columns, as of other joints, that may explain the torque."
     )
     steady: bool = Field(
         False,
         description="true: every row is a point at constant speed, as of a friction curve, in any "
-        "order and without a time: speed and torque, no acceleration.",
+        "order: speed and torque, no time.",
     )
-    start: Seconds | None = Field(
-        None, description="Leave out what lies before, in seconds from the first stamp."
-    )
-    stop: Seconds | None = Field(
-        None, description="Leave out what lies after, in seconds from the first stamp."
-    )
+    start: Seconds | None = Field(None, description="Leave out what lies before, s from the first.")
+    stop: Seconds | None = Field(None, description="Leave out what lies after, s from the first.")
     exclude: tuple[tuple[Seconds, Seconds], ...] = Field(
-        (),
-        description="Spans [start, stop] in seconds from the first stamp that are not compared "
-        "with the model; nor is what lies closer to them than the trim.",
+        (), description="Spans [start, stop], s from the first stamp, not compared with the model."
     )
     valid: str | int | None = Field(
         None,
-        description="Column that is 0 or false where the torque is not what the motor gave, such "
-        "as a 'torque enabled' flag; samples there are not compared with the model.",
+        description="Column that is 0 or false where the torque is not what the motor gave; such "
+        "samples are not compared.",
     )
     added_mass: Kilograms = Field(0.0, description="Known mass added for the recording, kg.")
     radius: Metres = Field(0.0, description="Distance of the added mass from the axis, m.")
     name: str | None = Field(
-        None, min_length=1, description="Name of the recording; the file's stem if left out."
+        None, min_length=1, description="Its name; the file's stem if left out."
     )
 
     @field_validator("exclude")
@@ -355,8 +323,7 @@ class Source(Columns, TableOptions):
     """One or more files of the same layout, each giving one recording."""
 
     file: str | list[str] = Field(
-        description="File or files, relative to the configuration's folder; may hold wildcards "
-        "(*, ?, **)."
+        description="Files or patterns (*, ?, **), relative to the configuration's folder."
     )
 
     @property
@@ -378,45 +345,39 @@ class Processing(Options):
 
     lowpass: HertzOrOff | None = Field(
         None,
-        description="Cut-off of the zero-phase Butterworth low-pass, in Hz; if left out three "
-        "times the band (six where samples at reversals are left out), at most a fifth of the "
-        "sampling rate; a tenth of it where decimate is given; 'off' or 0 for none.",
+        description="Cut-off of the zero-phase Butterworth low-pass, in Hz; 'off' or 0 for none. "
+        "If left out three times the band, at most a fifth of the sampling rate; a tenth of it "
+        "where decimate is given.",
     )
     order: int = Field(4, ge=1, le=12, description="Order of the Butterworth filter.")
     decimate: int | None = Field(
-        None,
-        ge=1,
-        description="Keep one output in this many samples; if left out what the band, or else "
-        "the low-pass, takes.",
+        None, ge=1, description="Samples an output; if left out by the band, else by the low-pass."
     )
     band: Hertz | None = Field(
         None,
-        description="Cut-off in Hz of the filter that torque and model pass alike. If left out "
-        "a tenth above half the decimated rate, where white noise comes out white; and without "
-        "low-pass and decimate that rate is as high as the position resolves the acceleration "
-        "and the torque has power, at most a tenth of the sampling rate.",
+        description="Cut-off in Hz of the filter that torque and model pass. If left out a tenth "
+        "above half the decimated rate, which is as high as the position resolves the "
+        "acceleration and the torque has power, at most a tenth of the sampling rate.",
     )
     differentiation: Literal["exact", "central"] = Field(
         "exact",
-        description="'exact': its gain is right within 1e-4 in all that the low-pass lets pass; "
-        "'central': differences of the two neighbours, whose gain falls with frequency, as in "
-        "published analyses.",
+        description="'exact': right within 1e-4 up to the low-pass; 'central': differences of the "
+        "two neighbours, as in published analyses.",
     )
     dead_zone: float | str | None = Field(
         None,
-        description="Joint speed below which a sample is not used, in SI units or text such as "
-        "'1 deg/s'; 1 % of the 99th percentile of the speed if left out; 0 for none.",
+        description="Joint speed below which a sample is not used, SI or '1 deg/s'; 1 % of the "
+        "99th percentile if left out; 0 for none.",
     )
     rest: bool = Field(
         False,
-        description="true: samples at rest, where the position as read does not change, say that "
-        "the torque lies within static friction to either side; false: they are left out as all "
-        "below the dead zone.",
+        description="true: at rest the torque lies within static friction to either side; false: "
+        "such samples are left out, as all below the dead zone.",
     )
     trim: Seconds | None = Field(
         None,
-        description="Cut from both ends of every segment after differentiation, in seconds; the "
-        "longer of 10 samples and one period of the low-pass if left out.",
+        description="Cut from both ends of every segment, s; if left out the longer of 10 samples "
+        "and one period of the low-pass.",
     )
 
     @property
@@ -428,10 +389,10 @@ class Processing(Options):
     @classmethod
     def _speed(cls, value: float | str | None) -> float | str | None:
         # kept as text: whether rad/s or m/s is meant is settled by the mechanism
-        number = (
-            units.quantity(value, "angular_speed", "speed") if isinstance(value, str) else value
-        )
-        if number is not None and not 0 <= number < float("inf"):
+        number = value
+        if isinstance(value, str):
+            number = units.quantity(value, "angular_speed", "speed")
+        if number is not None and not 0 <= float(number) < float("inf"):
             raise Unfit("a speed of 0 or more", f"got {value}")
         return value
 
@@ -439,7 +400,6 @@ class Processing(Options):
 # --- recordings in Python ------------------------------------------------------------------------
 
 _Keys = TypeVar("_Keys", bound=Columns)
-Column = str | int | Mapping[str, Any]
 Side = Literal["motor", "joint"]
 
 
@@ -447,13 +407,10 @@ Side = Literal["motor", "joint"]
 class Recording:
     """One or more recorded files, or a table in memory, with the meaning of its columns.
 
-    A model reads it for its joint, with the same checks for all three. Make one by
-    :meth:`from_arrays`, :meth:`from_dataframe` or :meth:`from_file`; what these take besides is
-    called as in a ``[[recordings]]`` table of a configuration (``name``, ``added_mass``,
-    ``radius``, ``rate``, ``start``, ``stop``, ``exclude``, ``valid``), and numbers may be text
-    with a unit there too; what cannot be used is refused at once. ``torque_constant`` and
-    ``resistance`` are those of the ``current`` or ``voltage`` channel that is given in place of
-    ``torque``.
+    Make one by :meth:`from_arrays`, :meth:`from_dataframe` or :meth:`from_file`, which take the
+    keys of a ``[[recordings]]`` table of a configuration (``name``, ``added_mass``, ``rate``,
+    ``start``, ``exclude``, ``valid`` ...), and ``torque_constant`` and ``resistance`` of the
+    ``current`` or ``voltage`` that is given in place of ``torque``.
     """
 
     source: Columns  # what the columns mean, and for files which they are
@@ -506,9 +463,6 @@ class Recording:
         cls,
         frame: pd.DataFrame,
         *,
-        position: Column | None = None,
-        time: Column | None = None,
-        torque: Column | None = None,
         units: Mapping[str, str] | None = None,
         side: Side | None = None,
         **keys: Any,
@@ -519,18 +473,13 @@ class Recording:
         ----------
         frame
             One row a sample.
-        position, time, torque
-            Name of a column, or its number from 1, or a table of keys as in a configuration:
-            ``{"column": "q", "unit": "turn/4096", "sign": -1}``. Without time give ``rate``, and
-            without torque ``current`` or ``voltage``, or ``{"value": 0}``. Without position
-            give ``velocity``.
         units, side
             As in :meth:`from_arrays`.
         **keys
-            ``velocity``, ``current``, ``voltage``, ``target`` and ``valid``, columns as well; and
-            what else there is to say.
+            ``time`` or ``rate``, ``position``, ``velocity``, ``torque``, ``current`` and so on:
+            name of a column, or its number from 1, or a table of keys as in a configuration:
+            ``{"column": "q", "unit": "turn/4096", "sign": -1}``; and what else there is to say.
         """
-        keys |= {"position": position, "time": time, "torque": torque}
         names = [str(name) for name in frame.columns]
         columns = [frame.iloc[:, i].to_numpy(copy=True) for i in range(len(names))]
         table = Table("recording", names, columns.__getitem__)
@@ -541,9 +490,6 @@ class Recording:
         cls,
         path: str | Path,
         *,
-        position: Column | None = None,
-        time: Column | None = None,
-        torque: Column | None = None,
         units: Mapping[str, str] | None = None,
         side: Side | None = None,
         **keys: Any,
@@ -556,18 +502,14 @@ class Recording:
         ----------
         path
             A file; ``*``, ``?`` and ``**`` are wildcards.
-        position, time, torque, units, side, **keys
+        units, side, **keys
             As in :meth:`from_dataframe`, and ``format``, ``delimiter``, ``decimal``,
             ``skip_rows``, ``table`` and ``where``.
         """
-        keys |= {"file": str(path), "position": position, "time": time, "torque": torque}
-        return cls(_checked(Source, keys, units, side))
+        return cls(_checked(Source, keys | {"file": str(path)}, units, side))
 
     def saved(self, path: Path) -> Recording:
-        """Write the columns used of a table in memory as CSV, and return that file's recording.
-
-        Reading it gives the same measurement to the last bit.
-        """
+        """Write the columns used of a table in memory as CSV, and return that file's recording."""
         import pandas as pd
 
         if self.table is None:
@@ -580,10 +522,9 @@ class Recording:
     def filed(self, file: str) -> Source:
         """Give the keys of the recording once :meth:`saved` has made it a file of that name."""
         keys = self.source.model_dump(exclude_unset=True, exclude_none=True)
-        for channel in (keys[key] for key in self.source.channels):
-            channel |= {k: self._header[channel[k]] for k in ("column", "times") if k in channel}
-        if "valid" in keys:
-            keys["valid"] = self._header[keys["valid"]]
+        for channel in (keys, *(keys[key] for key in self.source.channels)):
+            named = ("column", "times", "valid")
+            channel |= {k: self._header[channel[k]] for k in named if k in channel}
         if "others" in keys:
             keys["others"] = tuple(self._header[column] for column in keys["others"])
         return Source(file=file, **keys)

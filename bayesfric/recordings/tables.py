@@ -21,6 +21,7 @@ _ISO_8601 = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d")
 _DURATION = re.compile(r"(\d+ days? )?\d+:\d\d:\d\d")
 _ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
 _LISTS = (list, tuple, np.ndarray)
+_LENGTHS = "give columns of one length"
 # Text of cells without a value; other text that is no number is refused.
 _EMPTY = {"", "nan", "na", "n/a", "<na>", "nat", "null", "none", "-", "--"}
 
@@ -65,35 +66,25 @@ class Table:
         """Return ``"file, column 'name'"`` for messages."""
         return self.where if key == "" else f"{self.where}, column {key!r}"
 
-    def with_ones(self, count: int) -> Table:
-        """Add a column ``""`` of ones, for signals that are known throughout."""
-        self._columns[""] = np.ones(count)
-        return self
-
     def place(self, key: str | int) -> tuple[int, int | None]:
         """Return the index of a column, and of a signal in it, by name or number from 1."""
-        names = list(self.names)
+        names, at = list(self.names), f" in {self.header}" if self.header else ""
+        numbered = f"give a number from 1 to {len(names)}"
         if isinstance(key, int):
             if 1 <= key <= len(names):
                 return key - 1, None
-            problem = f"does not exist, the file has {len(names)} columns"
-            raise BadInput(self.label(key), problem, f"give a number from 1 to {len(names)}")
+            raise BadInput(self.label(key), "does not exist", numbered)
         part = _ONE_OF_SEVERAL.fullmatch(key)
         name, signal = (part[1], int(part[2])) if part and key not in names else (key, None)
         if not name or name not in names:
             if known := list(filter(None, names)):
-                at = f" in {self.header}" if self.header else ""
                 raise BadInput(self.label(key), f"does not exist{at}", nearest(key, known))
-            hint = f"give a number from 1 to {len(names)}"
-            raise BadInput(self.label(key), "does not exist, the columns have no names", hint)
+            raise BadInput(self.label(key), "does not exist, the columns have no names", numbered)
         if names.count(name) > 1:
-            numbers = [number for number, other in enumerate(names, start=1) if other == name]
-            at = f"{self.where}, {self.header}" if self.header else self.where
-            listed = f"{', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
-            problem = (
-                f"columns {listed} are {'both' if len(numbers) == 2 else 'all'} named {name!r}"
-            )
-            raise BadInput(at, problem, "give the column's number, or rename one of them")
+            numbers = [str(number) for number, other in enumerate(names, start=1) if other == name]
+            every = "both" if len(numbers) == 2 else "all"
+            problem = f"columns {' and '.join(numbers)} are {every} named {name!r}{at}"
+            raise BadInput(self.where, problem, "give the column's number, or rename one of them")
         return names.index(name), signal
 
     def values(self, key: str | int) -> Array:
@@ -106,23 +97,21 @@ class Table:
         cells = self.cells(key)
         if cells.ndim != 1:
             shape = " x ".join(map(str, cells.shape)) or "one value"
-            hint = "give a vector of one value a sample"
-            if cells.ndim == 2:
-                hint = f"name one of its signals with an index from 0, such as '{key}[0]'"
+            hint = f"name one of its signals, such as '{key}[0]'"
+            hint = hint if cells.ndim == 2 else "give a vector of one value a sample"
             raise BadInput(self.label(key), f"is no vector but {shape}", hint)
         if cells.dtype.kind in "biuf":
             with np.errstate(over="ignore"):  # a long double may become infinite
                 return cells.astype(np.float64, copy=False)
         if (dates := as_dates(cells)) is not None:
             if dates.dtype.kind == "M":
-                dates = dates - (
-                    dates[~np.isnat(dates)].min() if self.epoch is None else self.epoch
-                )
+                first = dates[~np.isnat(dates)].min() if self.epoch is None else self.epoch
+                dates = dates - first
             values = np.asarray(dates / np.timedelta64(1, "ns"), dtype=np.float64) / 1e9
         elif cells.dtype.kind == "O":
             values = np.array([_number(cell, self.decimal) for cell in cells], dtype=np.float64)
         else:
-            problem = f"holds {cells.dtype.name}, not numbers"
+            problem = f"holds {cells.dtype.name}"
             raise BadInput(self.label(key), problem, "export it as numbers")
         self._columns[key] = values
         return values
@@ -143,9 +132,8 @@ class Table:
         """Flag the cells ``(n,)`` without a value, unlike those with something else."""
         flags = np.isnan(self.values(key))
         if flags.any() and (cells := self.cells(key)).dtype.kind == "O":
-            flags &= np.array(
-                [_is_empty(cell) or np.isfinite(_number(cell, self.decimal)) for cell in cells]
-            )
+            numbers = (np.isfinite(_number(cell, self.decimal)) for cell in cells)
+            flags &= [_is_empty(x) or number for x, number in zip(cells, numbers, strict=True)]
         return flags
 
     def decoded(self, columns: Mapping[str | int, Array], notes: Sequence[str]) -> Table:
@@ -167,8 +155,8 @@ class Table:
             cells = cells.T
         if self.rows is not None and cells.ndim:
             if len(cells) != self.count:
-                problem = f"has {len(cells)} values, the column in where has {self.count}"
-                raise BadInput(self.label(key), problem, "give columns of one length")
+                problem = f"has {len(cells)} values, other columns have {self.count}"
+                raise BadInput(self.label(key), problem, _LENGTHS)
             cells = cells[self.rows]
         if signal is None:
             return cells
@@ -178,18 +166,15 @@ class Table:
             return np.array(parts, dtype=object)
         if cells.ndim != 2:
             raise BadInput(self.label(key), "holds no lists", "leave the index in brackets out")
-        if signal >= cells.shape[1]:
-            problem = f"holds {cells.shape[1]} values a sample"
-            hint = f"give an index from 0 to {cells.shape[1] - 1}"
-            raise BadInput(self.label(key), problem, hint)
+        if signal >= (count := cells.shape[1]):
+            hint = f"give an index from 0 to {count - 1}"
+            raise BadInput(self.label(key), f"holds {count} values a sample", hint)
         return cells[:, signal]
 
     def at(self, rows: Index, count: int) -> Table:
         """Select some of ``count`` rows, which every column must have."""
-        if self.rows is None:
-            table = replace(self, rows=rows, count=count)
-        else:
-            table = replace(self, rows=self.rows[rows])
+        chosen = rows if self.rows is None else self.rows[rows]
+        table = replace(self, rows=chosen, count=self.count or count)
         read = {key: values[rows] for key, values in self._columns.items() if values.size == count}
         table._columns.update(read)
         return table
@@ -221,16 +206,14 @@ class Table:
         if not wrong.any():
             return times
         index = int(np.argmax(wrong)) + 1
-        where = f"{self.label(key)}, {filled.row(index)}"
+        # a clock that was set back is in order before and after
+        set_back = np.count_nonzero(time < np.maximum.accumulate(time)) > 3 * wrong.sum()
+        problem = f"goes back in time, from {time[index - 1]:.9g} to {time[index]:.9g}"
+        hint = "split the file there" if set_back else "sort the rows by time"
         if time[index] == time[index - 1]:
             problem = f"repeats the time stamp {time[index]:.9g} of the row before"
             hint = "cut the repeated rows out, or record time with finer resolution"
-            raise BadInput(where, problem, hint)
-        problem = f"goes back in time, from {time[index - 1]:.9g} to {time[index]:.9g}"
-        # a clock that was set back is in order before and after
-        set_back = np.count_nonzero(time < np.maximum.accumulate(time)) > 3 * wrong.sum()
-        hint = "split the file there" if set_back else "sort the rows by time"
-        raise BadInput(where, problem, hint)
+        raise BadInput(f"{self.label(key)}, {filled.row(index)}", problem, hint)
 
     def without_repeats(self, keys: Sequence[str | int], clock: str | int) -> Table:
         """Leave out rows that repeat the time stamp and all values of the row before."""
@@ -248,18 +231,13 @@ class Table:
         note = f"repeats: {int(again.sum())} of {again.size + 1} rows repeat the one before"
         return replace(self.at(rows, again.size + 1), notes=(*self.notes, f"{note}, left out"))
 
-    def _seconds(self, clock: str | int) -> float:
-        """Return the unit of time stamps, as in the file."""
-        unit = self.units[self.place(clock)[0]] if self.units else ""
-        return units.scale([unit or "s"], "time")
-
     def doubts(self, keys: Sequence[str | int]) -> list[str]:
         """Say which of some columns may be of other clocks than the rows by which they are read."""
         places = dict.fromkeys(self.place(key)[0] for key in keys if key)
         names = [self.names[place] for place in places]
         if not (doubtful := [name for name in names if name in self.unpaired]):
             return []
-        clocks = f"but may be of another of the clocks {self.unpaired[doubtful[0]]}"
+        clocks = f"but may be of another clock ({self.unpaired[doubtful[0]]})"
         return [f"time: {', '.join(doubtful)} are paired by rows, {clocks}"]
 
     def clock(self, key: str | int) -> str | None:
@@ -279,27 +257,30 @@ class Table:
     ) -> tuple[Table, Index]:
         """Bring columns to the rows in which all have a value; returns these rows, too.
 
-        Rows are those of the column ``first``, at ``stamps`` (n,) of the column ``clock``. A column
-        with other time stamps, or empty in more than a share ``max_share`` of the rows, is
-        interpolated by time, across no more than ``gap`` of its median steps, of a ``flag`` by
-        the last value before.
+        Rows are those of ``first``, at ``stamps`` (n,) of ``clock``. A column with other stamps, or
+        empty in more than ``max_share`` of the rows, is interpolated by time, across up to ``gap``
+        median steps, a ``flag`` by the last value before.
         """
         used = ~self.holes(first)
         if not used.any():
             return self, np.arange(used.size)
         if stamps.size != used.size:
             problem = f"has {used.size} values, the time column has {stamps.size}"
-            raise BadInput(self.label(first), problem, "give columns of one length")
+            raise BadInput(self.label(first), problem, _LENGTHS)
         base, columns, lacking = used.copy(), dict[str | int, Array](), list[str]()
         own_stamps = list[str | int]()
         for key in keys:
             present, time = ~self.holes(key), stamps
             own_clock = self.clock(key) if clock in self.clocks.values() else None
             if own_clock is not None and clock is not None and own_clock != clock:
-                time = self.stamps(own_clock) * (self._seconds(own_clock) / self._seconds(clock))
+                marks = (
+                    self.units[self.place(x)[0]] if self.units else "" for x in (own_clock, clock)
+                )
+                own, base_unit = (units.scale([mark or "s"], "time") for mark in marks)
+                time = self.stamps(own_clock) * (own / base_unit)
             if present.size != time.size:
                 problem = f"has {present.size} values, column '{first}' has {time.size}"
-                raise BadInput(self.label(key), problem, "give columns of one length")
+                raise BadInput(self.label(key), problem, _LENGTHS)
             if time is stamps and not present.all():
                 lacking.append(repr(key))
             columns[key] = self.values(key)
@@ -327,9 +308,8 @@ class Table:
             return self, rows
         if own_stamps:
             clocks = ", ".join(sorted({repr(x) for key in own_stamps if (x := self.clock(key))}))
-            note = f"time: columns {', '.join(map(repr, own_stamps))} have time stamps of their "
-            note += f"own ({clocks or 'other rows'}), interpolated at those of {first!r}"
-            notes.append(note)
+            note = f"time: {', '.join(map(repr, own_stamps))} have stamps of their own"
+            notes.append(f"{note} ({clocks or 'other rows'}), interpolated at those of {first!r}")
         if rows.size < used.size:
             why = f": cells of columns {', '.join(lacking)} hold no value" if lacking else ""
             notes.append(f"holes: {used.size - rows.size} of {used.size} rows left out{why}")

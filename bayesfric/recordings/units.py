@@ -125,21 +125,8 @@ def quantity(text: str, *kinds: Kind) -> float:
     return product([text], kinds)
 
 
-def is_of(text: str, kind: Kind) -> bool:
-    """Whether a unit is of a kind; not where it is left open, or no unit."""
-    try:
-        quantity(text, kind)
-    except Unfit:
-        return False
-    return True
-
-
 def scale(units: Sequence[str], kind: Kind, where: str = "unit", *, positive: bool = True) -> float:
-    """Return the SI value of one count of a channel, or of a constant.
-
-    ``units`` are its unit and whatever multiplies it: ``["V", "35.15 N/V"]``. What is of
-    another kind is bad input at ``where``.
-    """
+    """Return the SI value of a channel's unit, or of a constant, times whatever multiplies it."""
     try:
         factor = product(units, [kind])
     except Unfit as error:
@@ -149,7 +136,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit", *, positive: bo
                 hint = "an angle needs its unit: write 'turn/4096', not '1/4096'"
         raise BadInput(where, str(error), hint) from error
     if positive and not factor > 0:
-        problem = f"{_listed(units)} is {factor:g}, not positive"
+        problem = f"{' times '.join(units)} is {factor:g}, not positive"
         raise BadInput(where, problem, "give a positive value; use sign = -1")
     return factor
 
@@ -171,7 +158,7 @@ def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
         powers.update(unit_powers)
     if any(_of(powers, kind) for kind in kinds):
         return factor
-    got = f"got {_listed(texts)}"
+    got = "got " + " times ".join(map(repr, texts))
     if any(kind in kinds and _of(powers, other) for kind, other in _SLIDING.items()):
         got += '; of a joint that slides say motion = "linear" under [mechanism]'
     raise Unfit(expected, got)
@@ -188,10 +175,6 @@ def _of(powers: Counter[str], kind: Kind) -> bool:
 def si(kind: Kind) -> str:
     """Name the unit that a kind is counted in."""
     return _KINDS[kind][0]
-
-
-def _listed(texts: Sequence[str]) -> str:
-    return " times ".join(f"'{text}'" for text in texts)
 
 
 def _number(plain: Any, *kinds: Kind, off: bool = False) -> BeforeValidator:

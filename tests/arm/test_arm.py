@@ -9,9 +9,9 @@ import pytest
 
 from bayesfric.arm.arm import Arm, remarks
 from bayesfric.arm.arm_columns import layout_of
-from bayesfric.arm.arm_coupling import coupled_joint
 from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.arm_options import Repeatability
+from bayesfric.arm.departures import coupled_joint
 from bayesfric.arm.exports import files_of
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
@@ -50,7 +50,7 @@ def test_a_body_that_is_far_off_departs_from_the_urdf():
     """As two joints show it, by another scale of efforts or by its width: neither is identified."""
     record(factors={"lower": 2.0})
     arm = Arm("arm.urdf", {**QUICK, "payload": {"mass_sd": "0.1 kg"}}).fit("log.csv", seed=1)
-    assert arm.factors.changes
+    assert arm.departures.changes
     statuses = {
         row.reported.status for x in arm.joints.values() for row in x.number_rows("coulomb")
     }

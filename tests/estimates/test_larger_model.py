@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.methods import EstimationInputs, FittedModel, predicts_better
+from bayesfric.estimates.methods import EstimationInputs, FittedModel
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue, Estimation, Knowledge
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.element import Element
@@ -59,7 +59,7 @@ def test_each_quarter_is_foretold_by_the_others(recorded):
 def test_a_term_has_to_help_with_what_it_has_not_seen(recorded, quarters, worth):
     o = recorded(quarters, 0.02)
     larger, smaller = candidate(LARGE, o), candidate(SMALL, o)
-    assert predicts_better(larger, smaller) == worth
+    assert larger.predicts_better(smaller) == worth
     # by the residuals of all it would be worth it, see the Bayesian information criterion
     gain = smaller.estimate.residual_rms / larger.estimate.residual_rms
     assert 2.0 * o.measured.size * math.log(gain) > math.log(o.measured.size)
@@ -89,4 +89,4 @@ KNOWN = {"inertia": (0.1, 0.01), "coulomb": (0.3, 0.01), "offset": (0.05, 0.01)}
     ],
 )
 def test_a_term_has_to_be_known(new, worth):
-    assert predicts_better(stated(0.5, **KNOWN, **new), stated(1.0, **KNOWN)) == worth
+    assert stated(0.5, **KNOWN, **new).predicts_better(stated(1.0, **KNOWN)) == worth

@@ -12,8 +12,7 @@ from numba import njit
 from scipy.stats import chi2
 
 import bayesfric as bf
-from bayesfric.inference.fitting import closed_loop_mode
-from bayesfric.inference.importance import slope_and_information
+from bayesfric.inference.closed_loop_fit import closed_loop_mode, slope_and_information
 
 RATE, FINE, COUNT = 200.0, 50, 2.0 * np.pi / 4096
 MASS, RADIUS = 0.49, 0.1

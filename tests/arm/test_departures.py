@@ -3,9 +3,6 @@
 import pytest
 
 from bayesfric.arm.arm import Arm
-from bayesfric.arm.arm_columns import layout_of
-from bayesfric.arm.arm_log import ArmLog
-from bayesfric.arm.common_factors import common_factors
 
 from . import bench
 from .bench import ELBOW, GRAVITY, SHOULDER
@@ -17,13 +14,8 @@ def examined(folder, changed, bodies=None):
     text = bench.urdf(dict.fromkeys(bench.LINKS, bodies) if bodies else {})
     (folder / "arm.urdf").write_text(bench.urdf())
     changed(bench.log(text, TRUTH)).to_csv(folder / "log.csv", index=False)
-    arm = Arm(folder / "arm.urdf")
-    layout, _ = layout_of(folder / "log.csv", arm.bodies.joints, arm.options, None)
-    log = ArmLog(folder / "log.csv", "log", arm.options, layout, arm.bodies.joints, 50_000)
-    prior = arm.bodies.prior(arm.options.urdf, arm.options.payload)
-    joints, models, _ = arm._models(arm.bodies, prior, [log], [], 0.0)
-    directions = {name: joint.directions for name, joint in joints.items()}
-    return common_factors(arm.bodies, prior, [log], models, directions, payload=False)
+    arm, *_ = Arm(folder / "arm.urdf").prepared([folder / "log.csv"])
+    return arm.departures
 
 
 def times(**scales):
@@ -51,7 +43,7 @@ def test_efforts_of_another_scale(tmp_path, changed, scales):
     """Within three of their sds, the torque of bodies that are right known to 15 %."""
     factors = examined(tmp_path, changed)
     assert factors.joints.keys() == scales.keys() == factors.scales.keys()
-    assert not factors.has("gravity")
+    assert not factors.without_gravity
     for name, scale in scales.items():
         value, sd = factors.joints[name]
         assert abs(value - scale) < 3.0 * sd < 0.45 * abs(scale)
@@ -59,7 +51,7 @@ def test_efforts_of_another_scale(tmp_path, changed, scales):
 
 def test_efforts_without_gravity(tmp_path):
     factors = examined(tmp_path, without_gravity)
-    assert factors.has("gravity")
+    assert factors.without_gravity
     assert factors.gravity == (0.0, 0.0, 0.0)
     assert not factors.joints
 
