@@ -98,7 +98,8 @@ class Arm:
         log
             A log that holds the positions of all joints; or several with the same columns.
         predict
-            A log of another motion, with the same columns; its torque is predicted, not fitted.
+            A log of another motion, with the same columns; its torque is predicted, not fitted. An
+            arm of targets alone follows them in :func:`bayesfric.arm.arm_rollout.rollout`.
         effort_unit
             Unit of the efforts, where no log names it; N m (N of a sliding joint) if left out.
         seed
