@@ -77,6 +77,9 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
     round_numbers = (np.ceil(span / ten - 1e-9) * ten for ten in tens)
     reset = next((x for x in round_numbers if abs(x - reset) <= usual), reset)
     against = np.mean(jumped * motion < 0.0) > 0.75
+    # one jump may be of a clock that was started again, but by a decade, a minute, an hour or a day
+    digits = float(f"{reset:.6e}".partition("e")[0])
+    against = against and (jumped.size > 1 or digits in (1.0, 6.0, 3.6, 8.64))
     moduli = [*([turn] if turn else []), *(2.0 ** np.arange(8, 33) if is_integer else ())]
     for modulus in [*moduli, *([reset] if against else [])]:
         jumps = np.abs(steps) > modulus / 2.0

@@ -370,9 +370,12 @@ def _read_xlsx(path: Path, options: TableOptions) -> Table:
     texts = [[str(cell).strip() for cell in row] for row in cells]
     # titles above the table do not fill its columns
     rows = [row[: max((n for n, cell in enumerate(row, 1) if cell), default=0)] for row in texts]
-    table, first = _titled(path, range(1, len(frame) + 1), rows)
+    marks = (options.decimal,) if options.decimal else (".", ",")
+    decimal = max(marks, key=lambda mark: sum(is_number(x, mark) for row in rows for x in row))
+    table, first = _titled(path, range(1, len(frame) + 1), rows, decimal)
     body = frame.iloc[first:].infer_objects()
-    return dataclasses.replace(table, load=lambda index: body.iloc[:, index].to_numpy())
+    columns = [body[k].to_numpy() for k in body]
+    return dataclasses.replace(table, load=columns.__getitem__, decimal=decimal)
 
 
 def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:

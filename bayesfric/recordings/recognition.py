@@ -140,7 +140,10 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     moving = (j for j in joints if ranges[j] > least) if joint is None else joints
     # joint_2 is joint 2
     wanted = () if joint is None else (joint.lower(), named(f"{joint} position").joint)
-    label = next((j for j in moving if joint is None or j.lower() in wanted), None)
+    eligible = [j for j in moving if joint is None or j.lower() in wanted]
+    # that of which most is recorded: theta_m with omega_m, not theta_el
+    channels = {j: len({s[2].channel for s in signals if s[2].joint == j}) for j in eligible}
+    label = max(eligible, key=lambda j: channels[j], default=None)
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
@@ -226,20 +229,24 @@ def with_clocks(table: Table) -> Table:
     """Pair columns with the stamps that share their group, word or number, if stamps differ."""
     table = _with_sums(table)
     marks = list(table.units or [""] * len(table.names))
-    times, dates = dict[str, Array](), dict[str, np.datetime64]()
+    times, suffixed, dates = dict[str, Array](), dict[str, Array](), dict[str, np.datetime64]()
     for k, name in enumerate(table.names):
         meaning = named(name, marks[k])
-        if meaning.channel == "time" and not meaning.wanted and table.names.count(name) == 1:
+        is_time = meaning.channel == "time" and not meaning.wanted
+        if (is_time or name.endswith("_t")) and table.names.count(name) == 1:
             with suppress(BadInput):
                 if (stamps := as_dates(table.cells(name))) is not None and stamps.dtype.kind == "M":
                     dates[name], marks[k] = stamps[~np.isnat(stamps)].min(), "s"
                     continue
+                if not is_time and increases(table.values(name)) is not None:
+                    suffixed[name] = table.values(name)
                 time = table.values(name) * units.scale([meaning.unit or "s"], "time")
-                if time.size > 1 and np.all(np.diff(time) > 0.0):
+                if is_time and time.size > 1 and np.all(np.diff(time) > 0.0):
                     times[name], marks[k] = time, meaning.unit
     if len(dates) > 1 and not times:
         table = replace(table, epoch=min(dates.values()), units=marks)
         times = {name: table.values(name) for name in dates}
+    times = times or suffixed  # of q_t, q, tau_t and tau
     clocks = list[str]()
     for name, time in times.items():
         if not any(_as_one(time, times[other]) for other in clocks):
@@ -358,6 +365,9 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
 def _signals(table: Table, problems: dict[str | int, str]) -> Iterator[tuple[str, Array, Named]]:
     """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
+        if name in table.clocks.values() and named(name, written).channel != "time":
+            yield name, table.values(name), _TICKS
+            continue
         if not named(name, written).channel:
             if name and table.is_dated(name):
                 yield name, table.values(name), Named("time", _UNSURE, False, "", "s")
