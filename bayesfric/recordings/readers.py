@@ -801,15 +801,8 @@ _UNITS = {
     "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s"},
     "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
 }
-# Packages of messages, and messages, without measurements.
-_NOT_MEASURED: tuple[str, ...] = (
-    "rcl_interfaces",
-    "rosbag2_interfaces",
-    "rosgraph_msgs",
-    "diagnostic_msgs",
-    "tf2_msgs",
-)
-_NOT_MEASURED += ("std_msgs/msg/String",)
+# Packages of messages without measurements.
+_NOT_MEASURED = "rcl_interfaces rosbag2_interfaces rosgraph_msgs diagnostic_msgs tf2_msgs"
 
 
 def _read_bag(path: Path, options: TableOptions) -> Table:
@@ -848,7 +841,8 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
     """Choose a topic: its name, its type and its connections."""
     topics = {name: topic for name, topic in reader.topics.items() if topic.msgcount}
     types = {name: topic.msgtype or "several types" for name, topic in topics.items()}
-    useful = [name for name, kind in types.items() if not kind.startswith(_NOT_MEASURED)]
+    unlike = (*_NOT_MEASURED.split(), "std_msgs/msg/String")
+    useful = [name for name, kind in types.items() if not kind.startswith(unlike)]
     name = _one_of(path, list(topics) if wanted or not useful else useful, wanted)
     if (kind := types[name]) not in reader.typestore.fielddefs:
         problem = f"holds messages of {kind}, of which there is no one definition"

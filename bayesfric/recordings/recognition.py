@@ -33,7 +33,7 @@ _WORDS = {
     "temperature temp",
     "measured": "actual act measured meas present feedback pv is ist",
     # no name of a joint
-    "": "joint joints motor observation observations obs header in the output axis data value "
+    "": "joint joints j motor observation observations obs header in the output axis data value "
     "values signal log electrical control raw estimate est sum of",
 }
 # Words that count only as the whole name.
@@ -96,12 +96,15 @@ _OBJECTS |= {"607A": "target_position", "60FF": "target_velocity", "6071": "targ
 _OBJECT = re.compile(rf"(?i)(?<![0-9a-z])(?:0x)?({'|'.join(_OBJECTS)})h?(?![0-9a-z])")
 
 
+Choice = tuple[str | int, str]  # column, or its number, and its unit, empty if unknown
+
+
 @dataclass(frozen=True)
 class Log:
     """Recognised columns of a log."""
 
-    # column, or its number, and its unit, empty if unknown, by channel
-    chosen: dict[str, tuple[str | int, str]]
+    # by channel
+    chosen: dict[str, Choice]
     columns: tuple[str | int, ...]  # all columns
     joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
@@ -148,7 +151,7 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
     label = label or ""
-    chosen: dict[str, tuple[str | int, str]] = {}
+    chosen = dict[str, Choice]()
     decoding = dict[str, tuple[str, int]]()
     for channel in ("position", "velocity", *_DRIVES, "time"):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
@@ -177,7 +180,7 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         chosen["time"] = steady[0] if len(steady) == 1 else OPEN, ""
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
     if chosen.get("time", (OPEN, ""))[0] != OPEN:
-        chosen = {"time": _checked_time(table, *chosen.pop("time"), chosen, problems), **chosen}
+        chosen = {"time": _checked_time(table, chosen.pop("time"), chosen, problems), **chosen}
     taken = [column for column, _ in chosen.values()]
     wrong = tuple(problems[column] for column in dict.fromkeys(taken) if column in problems)
     # a column that names no joint is none to choose
@@ -271,7 +274,7 @@ def _with_sums(table: Table) -> Table:
     sums, marks = dict[str, Array](), list[str]()
     names = [name for name in table.names if table.names.count(name) == 1]
     clocks = [name for name in names if named(name).channel == "time"]
-    for name in clocks:
+    for name in names:
         part = _PART_OF_SECOND.fullmatch(name)
         of_seconds = next((x for s in _SECONDS if part and (x := f"{part[1]}{s}") in names), None)
         with suppress(BadInput):
@@ -326,26 +329,23 @@ def _of_joint(signals: Signals, label: str) -> Signals:
 
 
 def _checked_time(
-    table: Table,
-    column: str | int,
-    unit: str,
-    chosen: dict[str, tuple[str | int, str]],
-    problems: dict[str | int, str],
-) -> tuple[str | int, str]:
+    table: Table, time: Choice, chosen: dict[str, Choice], problems: dict[str | int, str]
+) -> Choice:
     """Return time's column and its unit, open where no joint is recorded so; says what is wrong."""
+    column, unit = time
     if column in problems:
         return column, unit
     try:
         columns = [name for name, _ in chosen.values() if name != OPEN]
         once = table.without_repeats(columns, column)
-        time = once.decoded({column: checks.unwrapped(once.values(column))[0]}, ()).stamps(column)
+        stamps = once.decoded({column: checks.unwrapped(once.values(column))[0]}, ()).stamps(column)
     except BadInput as error:
         problems[column] = str(error)
         return column, unit
-    time = time[np.isfinite(time)]
+    stamps = stamps[np.isfinite(stamps)]
     scale = units.scale([unit or "s"], "time")
-    period = scale * float(np.median(np.diff(time)))
-    if unit and implausible(period, scale * float(time[-1] - time[0])):
+    period = scale * float(np.median(np.diff(stamps)))
+    if unit and implausible(period, scale * float(np.ptp(stamps))):
         text = f"time: in {unit} its rows are {period:.3g} s apart, of no joint's motion"
         problems[column], unit = text, ""
     return column, unit
