@@ -16,15 +16,19 @@ from typing import Any
 import numpy as np
 
 from bayesfric.arm.arm_columns import layout_of
-from bayesfric.arm.arm_coupling import coupled_joint, remark
-from bayesfric.arm.arm_delay import common_delay
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import ArmOptions
-from bayesfric.arm.common_factors import common_factors, compared_torques
+from bayesfric.arm.departures import (
+    bodies_torques,
+    common_delay,
+    coupled_joint,
+    find_departures,
+)
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, directions, resolution
+from bayesfric.arm.joint_consistency import JointConsistency
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress, progress_shown
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import (
     checked_toml,
@@ -34,6 +38,7 @@ from bayesfric.problem.config import (
     recording_table,
 )
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.filters import interpolated
 from bayesfric.recordings.measurement import Measurement
 
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
@@ -104,11 +109,37 @@ class Arm:
         BadInput
             If the log cannot be read, does not match the URDF, or no joint can be fitted.
         """
-        options, bodies = self.options, self.bodies
         paths = [Path(path) for path in ([log] if isinstance(log, Path | str) else log)]
-        fitted_count = len(paths)
+        with progress_shown(progress) as report:
+            arm, models, torques = self.prepared(paths, predict, effort_unit, report)
+            joints = dict(arm.joints)
+            for name, model in models.items():
+                report(Progress(name))
+                joints[name] = self._with_coupling(joints[name], model, arm.logs[0], torques[name])
+                try:
+                    result = arm.departures.doubted(name, model.fit(seed=seed, progress=report))
+                    joints[name] = replace(joints[name], result=result)
+                except BadInput as error:
+                    joints[name] = replace(joints[name], failure=str(error))
+        if all(joint.result is None for joint in joints.values()):
+            failures = "; ".join(f"{name}: {joint.failure}" for name, joint in joints.items())
+            raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
+        return replace(arm, joints=joints).combined(np.random.default_rng(seed))
+
+    def prepared(
+        self,
+        paths: Sequence[Path],
+        predict: Path | str | None = None,
+        effort_unit: str | None = None,
+        report: ProgressCallback = no_progress,
+    ) -> tuple[FittedArm, dict[str, Model], dict[str, list[Array]]]:
+        """Read logs, and correct them and the bodies by what all joints say together.
+
+        Returns the arm without fits, and by joint models and torques ``(1 + k, n)`` in each log.
+        """
+        options, bodies, fitted_count = self.options, self.bodies, len(paths)
         layout, assumed = layout_of(paths[0], bodies.joints, options, effort_unit)
-        paths += [] if predict is None else [Path(predict)]
+        paths = [*paths, *([] if predict is None else [Path(predict)])]
         names = [path.stem for path in paths]
         if len(set(names)) < len(names):
             names = [f"{name}-{k}" for k, name in enumerate(names, start=1)]
@@ -116,40 +147,36 @@ class Arm:
             if name not in names:
                 problem = f"there is no log {name!r}"
                 raise BadInput("payload.logs", problem, nearest(name, names))
-        with progress_shown(progress) as report:
-            report(Progress("motion"))
-            size = options.samples // len(paths)
-            logs = [
-                ArmLog(path, name, options, layout, bodies.joints, size)
-                for path, name in zip(paths, names, strict=True)
-            ]
-            report(Progress("torque of the bodies"))
-            prior, others = bodies.prior(options.urdf, options.payload), names[fitted_count:]
-            delay = options.delay or 0.0
+        report(Progress("motion"))
+        size = options.samples // len(paths)
+        logs = tuple(
+            ArmLog(path, name, options, layout, bodies.joints, size)
+            for path, name in zip(paths, names, strict=True)
+        )
+        report(Progress("torque of the bodies"))
+        prior, others = bodies.prior(options.urdf, options.payload), names[fitted_count:]
+        delay = options.delay or 0.0
+        joints, models, torques = self._models(bodies, prior, logs, others, delay)
+        late = common_delay(models) if options.delay is None else None
+        directions = {name: joint.directions for name, joint in joints.items()}
+        departures = find_departures(
+            bodies,
+            prior,
+            logs,
+            models,
+            directions,
+            payload=options.payload.given,
+            lacking=options.repeatability.friction,
+        )
+        if departures.changes or (late is not None and late.evident):
+            delay = late.value if late is not None and late.evident else delay
+            bodies, prior = bodies.under(departures.gravity), prior.widened(departures.widths)
+            for log in logs:
+                log.scales = departures.scales
             joints, models, torques = self._models(bodies, prior, logs, others, delay)
-            late = common_delay(models) if options.delay is None else None
-            evident = late is not None and late.evident
-            directions = {name: joint.directions for name, joint in joints.items()}
-            known = options.payload.given
-            factors = common_factors(bodies, prior, logs, models, directions, payload=known)
-            if factors.changes or evident:
-                delay = late.value if late is not None and evident else delay
-                bodies, prior = bodies.under(factors.gravity), prior.widened(factors.widths)
-                for arm_log in logs:
-                    arm_log.scales = factors.scales
-                joints, models, torques = self._models(bodies, prior, logs, others, delay)
-            for name, model in models.items():
-                report(Progress(name))
-                joints[name] = self._with_coupling(joints[name], model, logs[0], torques[name])
-                try:
-                    result = factors.doubted(name, model.fit(seed=seed, progress=report))
-                    joints[name] = replace(joints[name], result=result)
-                except BadInput as error:
-                    joints[name] = replace(joints[name], failure=str(error))
-        if all(joint.result is None for joint in joints.values()):
-            failures = "; ".join(f"{name}: {joint.failure}" for name, joint in joints.items())
-            raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return FittedArm.combined(bodies, logs, joints, prior, seed, factors, assumed, late)
+        urdf = JointConsistency(np.zeros((1, len(prior.deviations))), 1.0, 1.0, {}, ())
+        arm = FittedArm(bodies, logs, joints, prior, urdf, departures, assumed, late)
+        return arm, models, torques
 
     def _models(
         self,
@@ -185,7 +212,9 @@ class Arm:
                 if isinstance(effort, BadInput):
                     raise effort
                 models[name] = self._model(joint, logs, torques, held_out, delay)
-                urdf, *deviations = compared_torques(models[name])
+                observations = models[name].observations
+                compared = [o.filter.apply(bodies_torques(o)) for o in observations]
+                urdf, *deviations = np.concatenate(compared, axis=1)
                 joint = replace(
                     joint,
                     remarks=tuple(remarks(joint.joint, effort)),
@@ -208,7 +237,12 @@ class Arm:
         coupled = coupled_joint(observation, log, order, name, torques[0])
         if coupled is None:
             return joint
-        text = remark(name, coupled, "N" if joint.joint.motion == "linear" else "N m")
+        (other, ratio, before, after), linear = coupled, joint.joint.motion == "linear"
+        text = (
+            f"its effort is that of a motor that turns with {other}, too ({before:.3g} to "
+            f'{after:.3g} {"N" if linear else "N m"} rms): [coupling] joints = ["{other}", '
+            f'"{name}"], matrix = [[1, 0], [{ratio:.2g}, 1]]'
+        )
         return replace(joint, remarks=(*joint.remarks, text), is_coupled=True)
 
     def _projected(
@@ -244,7 +278,7 @@ class Arm:
             threshold, effort = np.inf, efforts.get(name)
             if isinstance(effort, Measurement):
                 _, qd, qdd = logs[0].motion[:, j, at]
-                torque = np.interp(logs[0].time[at], effort.time, effort.torque)
+                torque = interpolated(effort.time, effort.torque, logs[0].time[at])
                 error = resolution(torque, qd, qdd, torques[0][j])
                 threshold = error * np.sqrt(at.size / counts[0])
             joint_directions.append(directions(every_torque[j, 1:], threshold))

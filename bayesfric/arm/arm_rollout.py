@@ -25,6 +25,7 @@ from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.recordings.arrays import Array, Flags, Index
+from bayesfric.recordings.filters import interpolated
 from bayesfric.report.words import listed
 
 # Longest step, s: a swing of a radian is then wrong by 0.6 mrad after a second. It is shorter where
@@ -174,7 +175,7 @@ def _residual(
     ``rigid`` ``(n,)`` is the rigid-body torque at ``time``, ``numbers`` are of :func:`_friction`.
     """
     o = joint.fitted.model.observations[0]
-    load = np.interp(o.stamps, time, rigid)
+    load = interpolated(time, rigid, o.stamps)
     c = {key: x.mean(axis=0) for key, x in numbers.items()}
     backwards, back_driven = (o.qd < 0.0).astype(int), (load * o.qd < 0.0).astype(int)
     torque = load + c["armature"][0] * o.qdd + c["offset"][0] + c["viscous"][backwards] * o.qd

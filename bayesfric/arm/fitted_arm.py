@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from bayesfric.arm.arm_delay import ArmDelay
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import NUMBERS, Repeatability
-from bayesfric.arm.common_factors import CommonFactors
+from bayesfric.arm.arm_options import NUMBERS, Repeatability, torque_columns
+from bayesfric.arm.departures import ArmDelay, Departures
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
 from bayesfric.arm.joint_consistency import (
     UNLIKELY,
@@ -119,10 +118,9 @@ class FittedJoint:
         losses = [name.startswith("motor.") or name == "offset" for name in fit.chain.names]
         values = np.stack([law_values, np.where(losses, 0.0, law_values)])
         for o in self.fitted.model.observations:
-            motion, sign = (o.q, o.qd, o.qdd), np.sign(o.qd)
+            motion = o.q, o.qd, o.qdd
             law, rigid = inverse_torque(fit.chain, values, *motion, inputs=o.inputs, time=o.stamps)
-            columns = {"armature": o.qdd, "coulomb": sign, "viscous": o.qd}
-            columns |= {"load": gain * np.abs(rigid) * sign, "offset": np.ones_like(sign)}
+            columns = dict(zip(NUMBERS, torque_columns(gain * rigid, o.qd, o.qdd), strict=False))
             parts.append((law, rigid, *(columns[key] / gain for key in keys)))
         law, rigid, *by_key = np.concatenate(parts, axis=1)
         a = np.array(by_key).T
@@ -193,7 +191,8 @@ class FittedJoint:
         """Predict the held-out logs.
 
         About the mean of a posterior, bands have the model discrepancy, and allow friction and
-        efforts to differ as far as ``repeatability`` says.
+        efforts to differ as far as ``repeatability`` says: those in equal parts by their gain and,
+        as other poses change them, by a constant of their rms.
         """
         fit, held_out = self.fitted.fit, self.fitted.model.held_out
         wide = posterior if self.by_all else fit.wide.posterior
@@ -209,9 +208,9 @@ class FittedJoint:
             predict_held_out(fit.target, _with_draws(wide, draws), held_out),
             strict=True,
         ):
-            n = len(band.torque)
-            change = rng.permutation(quantiles)[:n, None] * self.repeatability.effort
-            torque = band.torque * (1.0 + change)
+            n, size = len(band.torque), self.repeatability.effort / math.sqrt(2.0)
+            gain, pose = (size * rng.permutation(quantiles)[:n, None] for _ in range(2))
+            torque = band.torque * (1.0 + gain) + pose * rms(centre.mean)
             torque += centre.mean - torque.mean(axis=0)
             predictions.append(replace(band, torque=torque))
         return tuple(predictions)
@@ -298,30 +297,18 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     prior: InertialPrior
     consistency: JointConsistency
-    factors: CommonFactors
+    departures: Departures
     assumed: str = ""  # about columns and units that the log does not name
     late: ArmDelay | None = None  # of the efforts; None where it is known
 
-    @classmethod
-    def combined(
-        cls,
-        bodies: Bodies,
-        logs: Sequence[ArmLog],
-        joints: Mapping[str, FittedJoint],
-        prior: InertialPrior,
-        seed: int | None,
-        factors: CommonFactors,
-        assumed: str = "",
-        late: ArmDelay | None = None,
-    ) -> FittedArm:
+    def combined(self, rng: np.random.Generator) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
-        rng, updated = np.random.default_rng(seed), dict(joints)
-        fitted = {name: joint for name, joint in joints.items() if joint.result}
-        likelihoods = {name: joint.likelihood for name, joint in fitted.items()}
-        consistency = combine_joints(prior, likelihoods, rng)
-        for name, joint in fitted.items():
-            updated[name] = joint.updated(consistency, rng)
-        return cls(bodies, (*logs,), updated, prior, consistency, factors, assumed, late)
+        joints = dict(self.joints)
+        likelihoods = {name: joint.likelihood for name, joint in self.fitted.items()}
+        consistency = combine_joints(self.prior, likelihoods, rng)
+        for name, joint in self.fitted.items():
+            joints[name] = joint.updated(consistency, rng)
+        return replace(self, joints=joints, consistency=consistency)
 
     @property
     def urdf(self) -> Path:
@@ -370,8 +357,9 @@ class FittedArm:
             "agreed": [*consistency.agreed],
             "physical": consistency.physical,
             "width": float(np.max(self.prior.widths)),
-            "factor": dict(zip(("value", "sd"), self.factors.bodies, strict=True)),
-            "departures": [departure._asdict() for departure in self.factors.departures],
+            "factor": dict(zip(("value", "sd"), self.departures.bodies, strict=True)),
+            "departures": [x._asdict() for x in self.departures.taken],
+            "alternatives": [x._asdict() for x in self.departures.alternatives],
             "causes": consistency.deviations(self.prior),
             "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),
         }

@@ -9,9 +9,9 @@ import pytest
 
 from bayesfric.arm.arm import Arm, remarks
 from bayesfric.arm.arm_columns import layout_of
-from bayesfric.arm.arm_coupling import coupled_joint
 from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.arm_options import Repeatability
+from bayesfric.arm.departures import coupled_joint
 from bayesfric.arm.exports import files_of
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
@@ -50,7 +50,7 @@ def test_a_body_that_is_far_off_departs_from_the_urdf():
     """As two joints show it, by another scale of efforts or by its width: neither is identified."""
     record(factors={"lower": 2.0})
     arm = Arm("arm.urdf", {**QUICK, "payload": {"mass_sd": "0.1 kg"}}).fit("log.csv", seed=1)
-    assert arm.factors.changes
+    assert arm.departures.changes
     statuses = {
         row.reported.status for x in arm.joints.values() for row in x.number_rows("coulomb")
     }
@@ -123,8 +123,9 @@ def test_a_motor_that_turns_with_two_joints_is_named(monkeypatch, ratio):
         Arm("arm.urdf", QUICK).fit("log.csv")
     assert results[SHOULDER] is None
     if ratio:
-        assert results[ELBOW].other == SHOULDER
-        assert results[ELBOW].ratio == pytest.approx(ratio, rel=0.03)
+        other, fitted, *_ = results[ELBOW]
+        assert other == SHOULDER
+        assert fitted == pytest.approx(ratio, rel=0.03)
     else:
         assert results[ELBOW] is None
 
@@ -285,8 +286,10 @@ def test_positions_beyond_the_limits_of_the_urdf_are_remarked():
 def test_one_motion_of_a_measured_ur10_predicts_another(tmp_path):
     """Petrone et al. 2025: better than least squares on the URDF's torque and friction."""
     study = imported(REPOSITORY / "studies" / "ur10-arm" / "run.py")
-    result = study.compared(tmp_path, joints=["elbow_joint"])[0]["elbow_joint"]
-    assert result["arm"]["rms"] < result["least squares"]["rms"]
+    study.validation_log(tmp_path / "other.csv")
+    outcomes, _ = study.compared(study.LOG, tmp_path / "other.csv", ["elbow_joint"])
+    result = outcomes["elbow_joint"]
+    assert result["separate"]["rms"] < result["least squares"]["rms"]
 
 
 @pytest.mark.slow
@@ -294,7 +297,9 @@ def test_one_motion_of_a_measured_ur10_predicts_another(tmp_path):
 def test_the_feedforward_of_a_measured_ur10_is_what_was_predicted(tmp_path):
     """Each joint within one per cent on the motion held out, bodies of separate fits included."""
     study = imported(REPOSITORY / "studies" / "ur10-arm" / "run.py")
-    rms = bench.held_out_rms(study.compared(tmp_path)[1], tmp_path)
+    study.validation_log(tmp_path / "other.csv")
+    _, fitted = study.compared(study.LOG, tmp_path / "other.csv")
+    rms = bench.held_out_rms(fitted, tmp_path)
     assert len(rms) == 6
     for name, (exported, predicted) in rms.items():
         assert exported == pytest.approx(predicted, rel=0.01), name

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.arm.arm_delay import combined
+from bayesfric.arm.departures import combined
 
 
 def test_equal_delays_have_the_sd_of_their_mean():
