@@ -269,7 +269,7 @@ def export(
     output: Path | None = Option(None, *OUTPUT, help="folder to make; RUN-FORMAT if left out"),
     joint: str = Option("joint", help="what the simulator calls the joint"),
     into: Path | None = Option(None, metavar="MODEL", help="mujoco: model whose joint is changed"),
-    draws: int | None = Option(None, help="csv: how many draws"),
+    draws: int | None = Option(None, help="how many draws, of intervals and of the CSV"),
     program: str | None = Option(
         None, "--for", metavar="PROGRAM", help="only what it takes, such as drake or pinocchio"
     ),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from scipy.optimize import least_squares
 
 from bayesfric.mechanism.inverse import load_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.kernels import inverse_many
+from bayesfric.mechanism.kernels import Samples, inverse_many
 from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.quantities import TOTALS, Parameter, State
 from bayesfric.mechanism.scaling import scalings
@@ -32,12 +33,14 @@ OPEN = 1e-9
 # What is positive in any mechanism that loses energy; gravity's sign is that of Theta1.
 POSITIVE = tuple(total.name for total in TOTALS.values() if total.lower == 0.0)
 _NUMBERS_AT_ONCE = 2_000_000
+# Samples of a recording up to which its layout for the kernels is kept: it takes longer than they.
+_SHORT = 30_000
 
 
 def filtered_torque(joint: Joint, observation: Signals, values: Array) -> Array:
     """Model the motor torque ``(n, n_outputs)`` of vectors ``(n, n_parameters)``, filtered."""
     o = observation
-    samples = joint.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
+    samples = (_samples if o.q.size <= _SHORT else _samples.__wrapped__)(joint, o)
     out = np.empty((values.shape[0], o.filter.n_outputs))
     # a few vectors at a time: unfiltered torque of a long recording is large
     rows = max(1, _NUMBERS_AT_ONCE // max(o.q.size, 1))
@@ -45,6 +48,11 @@ def filtered_torque(joint: Joint, observation: Signals, values: Array) -> Array:
         part = slice(first, first + rows)
         out[part] = o.filter.apply(inverse_many(*joint.tables(values[part], o.inputs), samples))
     return out
+
+
+@lru_cache(maxsize=32)
+def _samples(joint: Joint, o: Signals) -> Samples:
+    return joint.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
 
 
 def torque_jacobian(

@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base import __version__
-from bayesfric.base.atomic_write import check_output_folder, new_folder
+from bayesfric.base.atomic_write import check_output_folder, jsonable, new_folder
 from bayesfric.base.errors import BadInput
-from bayesfric.export.bam import BAM_NUMBERS
-from bayesfric.export.formats import Files, Format, Options, body_of, filled, format_of, omitted
+from bayesfric.export.formats import Format, body_of, filled, format_of, omitted, put_into
 from bayesfric.export.joint_model import (
     LINK_AND_DRIVE,
     LOSSES,
+    NUMBERS,
     Numbers,
     Trajectory,
     motor_unit,
     number_of,
     of_recording,
     simulated_torque,
+    simulator_numbers,
     stacked,
     thinned,
     torque_along,
-    undelayed,
     unit_of,
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
@@ -36,14 +36,11 @@ from bayesfric.export.programs import Program, program_of, programs
 from bayesfric.export.written_law import law
 from bayesfric.fit.model import Result
 from bayesfric.fit.result import result_of
-from bayesfric.identifiability.friction_curve import covered
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array, rms
 from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.results.reported import ORDER
-
-_DRAWS = 400  # for intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,45 +48,20 @@ class Exported:
     """The record of an export, and its files by name, the main one first."""
 
     record: dict[str, Any]
-    files: Files
+    files: Mapping[str, str]
 
     def as_json(self) -> dict[str, Any]:
         """Give the content of ``export.json``, which the command prints."""
-        content: dict[str, Any] = json.loads(json.dumps(self.record))
-        return content
+        return self.record
 
     @property
-    def main(self) -> str | bytes:
+    def main(self) -> str:
         """Content of the main file."""
         return next(iter(self.files.values()))
 
     def text(self) -> str:
         """Summarise numbers, lost terms and the torque error for people."""
         return filled("export.txt.j2", **self.record, level=100 * LEVEL).rstrip()
-
-    def write(self, folder: Path | str, *, force: bool = False) -> list[str]:
-        """Write the files and ``export.json``, and return their paths.
-
-        Parameters
-        ----------
-        folder
-            Folder to make; nothing is left behind after an error.
-        force
-            Whether an old export may be replaced.
-
-        Raises
-        ------
-        BadInput
-            If the folder exists already, or cannot be written.
-        """
-        folder = Path(folder)
-        check_output_folder(folder, force=force, marker="export.json")
-        text = json.dumps(self.record, indent=1, ensure_ascii=False, allow_nan=False)
-        with new_folder(folder) as unfinished:
-            for name, content in {**self.files, "export.json": text + "\n"}.items():
-                data = content if isinstance(content, bytes) else content.encode()
-                (unfinished / name).write_bytes(data)
-        return [str(folder / name) for name in (*self.files, "export.json")]
 
 
 def export(
@@ -121,7 +93,7 @@ def export(
     into
         MuJoCo: model whose joint is changed.
     draws
-        CSV: number of draws.
+        Number of draws of the posterior, of which intervals are and the rows of the CSV.
     program
         Program that the files are for, such as ``drake``: numbers that it does not take are left
         out, and those that it takes are fitted in their place.
@@ -134,118 +106,109 @@ def export(
     Raises
     ------
     BadInput
-        If there is no such format or option, or the joint has a term that the format cannot take.
+        If there is no such format or option, the joint has a term that the format cannot take, or
+        the folder exists already or cannot be written.
     """
-    form = format_of(to)
+    form, run = format_of(to), result_of(posterior)
     reader = None if program is None else program_of(program, to)
+    if into is not None and to != "mujoco":
+        raise BadInput("--into", f"has no effect in the format {to}", "leave it out")
+    if draws is not None and not 1 <= draws <= len(run.draws):
+        problem = f"is {draws}, and the run has {len(run.draws)}"
+        raise BadInput("--draws", problem, "reduce it, or fit with more steps")
+    if not re.fullmatch(r"[\w./-]+", joint):
+        raise BadInput("--joint", f"{joint!r} is no name", "use letters, digits, _ - . /")
     if reader is not None:
         form = form.without(reader.unused)
-    options = Options(joint, None if into is None else Path(into), draws, reader)
-    _check(form, options)
-    exported = _export(result_of(posterior), form, options)
+    exported = export_to(form, run, reader, joint, None if into is None else Path(into), draws)
     if output is not None:
-        exported.write(output, force=force)
+        check_output_folder(Path(output), force=force, marker="export.json")
+        record = json.dumps(exported.record, indent=1, ensure_ascii=False)
+        with new_folder(Path(output)) as unfinished:
+            for name, text in {**exported.files, "export.json": record + "\n"}.items():
+                (unfinished / name).write_bytes(text.encode())
     return exported
 
 
-def _check(form: Format, options: Options) -> None:
-    for name in {"into", "draws"} - form.options:
-        if getattr(options, name) is not None:
-            raise BadInput(f"--{name}", f"has no effect in the format {form.name}", "leave it out")
-    if options.into is not None and not options.into.is_file():
-        raise BadInput(f"--into {options.into}", "does not exist", "name an MJCF file")
-    if options.draws is not None and options.draws < 1:
-        raise BadInput("--draws", f"is {options.draws}", "give 1 or more")
-    if not re.fullmatch(r"[\w./-]+", options.joint):
-        raise BadInput("--joint", f"{options.joint!r} is no name", "use letters, digits, _ - . /")
-
-
-def _export(run: Result, form: Format, options: Options) -> Exported:
+def export_to(
+    form: Format,
+    run: Result,
+    reader: Program | None = None,
+    name: str = "joint",
+    into: Path | None = None,
+    draws: int | None = None,
+) -> Exported:
+    """Export to a format, whose numbers may be those of one ``reader``."""
     joint, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
+    rotary = joint.load.motion == "rotary"
+    if form.name == "bam" and not rotary:
+        raise BadInput("--to bam", "supports joints that turn", "export another format")
     thin = thinned(motions)
-    vectors = parameter_vectors(run, thin, options.draws or _DRAWS)
-    recorded = covered(run.model.chain, run.model.observations, vectors.point, open_scale=True)
-    load = float(np.abs(recorded[1]).mean())
-    fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), thin, load)
+    vectors = parameter_vectors(run, thin, draws or 400)
+    point = vectors.point[None]
+    fitted = simulator_numbers(joint, np.vstack([point, vectors.draws]), thin, form.carried)
     # the torque that held the joint at standstill is a lower limit of its static friction
-    law_friction = fitted["static_friction"]
-    held = max((rest["held"] for rest in run.summary.fit.rests), default=0.0)
-    fitted["static_friction"] = np.maximum(law_friction, held * fitted["gain"])
-    at_least = bool(fitted["static_friction"][0] > law_friction[0])
-    first = {name: x[:1] for name, x in fitted.items()}
-    numbers = {name: float(x[0]) for name, x in fitted.items()}
-    draws = {name: x[1:] for name, x in fitted.items()}
+    held = fitted["gain"] * max((rest["held"] for rest in run.summary.fit.rests), default=0.0)
+    at_least = bool(held[0] > fitted["static_friction"][0])
+    fitted["static_friction"] = np.maximum(fitted["static_friction"], held)
+    first = {number: x[:1] for number, x in fitted.items()}
+    numbers = {number: float(x[0]) for number, x in fitted.items()}
 
-    def errors(pace: float, along: Sequence[Trajectory]) -> tuple[dict[str, float], Array]:
-        """Error of the format where recorded paths are travelled at a pace; the law's torque."""
+    def errors(pace: float, along: Sequence[Trajectory]) -> dict[str, float]:
+        """Error of the format where recorded paths are travelled at a pace."""
         paced = [replace(m, qd=pace * m.qd, qdd=pace**2 * m.qdd) for m in along]
-        law_torque = torque_along(joint, undelayed(joint, vectors.point[None]), paced)[0]
-        off = form.torque(joint, vectors.point[None], first, paced)[0] - law_torque
-        sizes = {"rms": rms(off), "largest": float(np.abs(off).max())}
-        return {"pace": pace, **sizes, "torque_rms": rms(law_torque)}, law_torque
+        law_torque = torque_along(joint, point, paced)
+        off = form.torque(joint, point, first, paced) - law_torque
+        largest = float(np.abs(off).max())
+        return {"pace": pace, "rms": rms(off), "largest": largest, "torque_rms": rms(law_torque)}
 
-    motor, law_torque = errors(1.0, motions)
-    unit, size = motor_unit(joint), motor["torque_rms"]
-    paces = [errors(pace, thin)[0] for pace in (0.5, 2.0)]
-    error = {"motor": motor, "torque_rms": size, "at_pace": paces}
-    lost, made_from = lost_terms(joint, form, vectors.point, thin, load)
-    readers = [options.program] if options.program else programs().get(form.name, {}).values()
+    motor, paces = errors(1.0, motions), [errors(pace, thin) for pace in (0.5, 2.0)]
+    lost, made_from = lost_terms(joint, form, vectors.point, thin)
+    readers = [reader] if reader else programs().get(form.name, {}).values()
+    # a model that is changed keeps its own link and drive
+    shown = {k: x for k, x in form.names.items() if into is None or x not in LINK_AND_DRIVE}
     record: dict[str, Any] = {
-        "bayesfric": __version__,
-        "run": run.name,
-        "format": form.name,
-        "meaning": form.meaning,
-        "joint": options.joint,
-        "numbers": _number_rows(run, form, options, numbers, draws, made_from, vectors, at_least),
-        "lost": [
-            {**x, "says": filled("lost.txt.j2", **x, whole=size, motor_unit=unit).strip()}
-            for x in lost
-        ],
-        "error": {**error, "says": filled("error.txt.j2", **error, unit=unit).strip()},
-        "programs": [_in_program(x, joint, first, motions, law_torque) for x in readers],
-        "unit": unit,
-        "draws": len(vectors.draws),
-        "central": vectors.kind,
-    }
-    rotary, language = joint.load.motion == "rotary", form.language
-    with_body = options.into is None and any("inertia about the joint" in x for x in form.names)
+        "bayesfric": __version__, "run": run.name, "format": form.name, "meaning": form.meaning,
+        "joint": name, "unit": motor_unit(joint), "draws": len(vectors.draws),
+        "central": vectors.kind, "lost": lost,
+        "numbers": number_rows(run, vectors, shown, fitted, made_from, at_least),
+        "error": {"motor": motor, "torque_rms": motor["torque_rms"], "at_pace": paces},
+        "programs": [in_program(x, joint, point, first, motions) for x in readers],
+    }  # fmt: skip
+    # other programs than the format's own do not run its Python
+    law_files = form.law if reader is None or reader.name == form.name else {}
+    written = law(joint, vectors.point, form.language, form.complete) if law_files else None
     position, speed, _ = stacked(motions)
-    # everything that templates and writers use
+    columns = {(x, unit_of(NUMBERS[x], joint)): fitted[x][1:] for x in form.names.values()}
+    columns |= {(p.name, p.unit): x for p, x in zip(joint.parameters, vectors.draws.T, strict=True)}
+    # everything that templates use
     content: dict[str, Any] = {
-        "format": form.name,
-        "name": options.joint,
-        "stem": re.sub(r"\W", "_", options.joint),
-        "options": options,
-        "run": run,
-        "vectors": vectors,
-        "numbers": numbers,
-        "draws": draws,
-        "rotary": rotary,
-        "ratio": joint.ratio,
-        "gravity": joint.load.gravity,
-        "body": body_of(numbers, rotary) if with_body else None,
-        "unit": unit,
-        "position_unit": "rad" if rotary else "m",
-        "summary": run.summary,
+        "format": form.name, "name": name, "stem": re.sub(r"\W", "_", name), "unit": record["unit"],
+        "into": into is not None, "names": form.names, "numbers": numbers, "rotary": rotary,
+        "ratio": joint.ratio, "gravity": joint.load.gravity, "vectors": vectors,
+        "body": body_of(numbers, rotary) if form.body else None, "summary": run.summary,
+        "law": written, "no_formula": bool(law_files) and written is None,
+        "titles": [f"{x} [{unit}]" if unit else x for x, unit in columns],
+        "rows": zip(*columns.values(), strict=True),
         "known_load": any(m.inputs.known_load for m in motions),
         "speed": float(np.abs(speed).max()),
         "position": [float(position.min()), float(position.max())],
+    }  # fmt: skip
+    record["notes"] = filled("notes.txt.j2", **content).splitlines()
+    remarks = filled("remarks.txt.j2", **record).splitlines()
+    content["remarks"] = [_harmless(line) for line in remarks]
+    files = {
+        file.format(stem=content["stem"]): filled(template, **content)
+        for file, template in {**form.files, **(law_files if written else {})}.items()
     }
-    if language is not None:
-        content["law"] = law(joint, vectors.point, language, required=form.write is None)
-    record["notes"] = _lines("notes.txt.j2", **content)
-    content["remarks"] = [_harmless(line) for line in _lines("remarks.txt.j2", **record)]
-    files: Files = {
-        name.format(stem=content["stem"]): filled(template, **content)
-        for name, template in form.templates.items()
-    }
-    if form.write is not None:
-        files = form.write(content)
-    return Exported({**record, "files": list(files)}, files)
+    if into is not None:
+        model = files.pop(next(iter(files)))
+        files = {into.name: put_into(into, name, model), **files}
+    return Exported(jsonable({**record, "files": list(files)}), files)
 
 
 def lost_terms(
-    joint: Joint, form: Format, vector: Array, motions: Sequence[Trajectory], load: float
+    joint: Joint, form: Format, vector: Array, motions: Sequence[Trajectory]
 ) -> tuple[list[dict[str, Any]], dict[str, list[str]]]:
     """List the terms of a vector ``(d,)`` that a format has no number for.
 
@@ -257,24 +220,26 @@ def lost_terms(
     for k, p in enumerate(joint.parameters):
         if not _is_shape(p):
             vectors[1 + k, k] = p.row.default
-    numbers = form.fit(joint, vectors, motions, load)
-    law_torque = torque_along(joint, undelayed(joint, vectors), motions)
+    numbers = simulator_numbers(joint, vectors, motions, form.carried)
+    law_torque = torque_along(joint, vectors, motions)
     left = law_torque - form.torque(joint, vectors, numbers, motions)
     made_from: dict[str, list[str]] = {name: [] for name in numbers}
     lost, size = [], rms(law_torque[0])
     for k, p in enumerate(joint.parameters):
-        changed = []
-        for name, x in numbers.items():
-            a_loss = name in ("static_friction", *LOSSES, *BAM_NUMBERS)
-            conservative = p.row.stores or p.row.circular
-            if not ((a_loss and conservative) or np.isclose(x[1 + k], x[0], rtol=1e-6, atol=0.0)):
-                changed.append(name)
-                made_from[name].append(p.name)
+        conservative = p.row.stores or p.row.circular
+        changed = [
+            name
+            for name, x in numbers.items()
+            if not (conservative and name in ("static_friction", *LOSSES))
+            and not np.isclose(x[1 + k], x[0], rtol=1e-6, atol=0.0)
+        ]
+        for name in changed:
+            made_from[name].append(p.name)
         row = {"parameters": [p.name], "value": float(vector[k]), "unit": p.unit}
         row |= {"meaning": p.meaning, "fitted": [x for x in changed if x in form.carried]}
-        if of_recording(p) or (form.law == "complete" and omitted(p.row)):
+        if of_recording(p) or (form.complete and omitted(p.row)):
             lost.append({"kind": "left out", **row})
-        elif number_of(p) not in form.carried and not _is_shape(p):
+        elif not form.complete and number_of(p) not in form.carried and not _is_shape(p):
             torque = rms(law_torque[0] - law_torque[1 + k])
             remaining = rms(left[0] - left[1 + k])
             if remaining > 1e-6 * size or not row["fitted"]:
@@ -287,92 +252,76 @@ def _is_shape(p: Parameter) -> bool:
     return p.row.role == "form" and p.row.default != 0.0 and p.quantity != "gain"
 
 
-def _harmless(remark: str) -> str:
-    """Keep a remark, which may hold names of folders and recordings, from ending a comment."""
-    printable = "".join(c for c in remark if c.isprintable())
-    return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
-
-
-def _lines(template: str, **values: Any) -> list[str]:
-    return [line for line in filled(template, **values).splitlines() if line]
-
-
-def _number_rows(
+def number_rows(
     run: Result,
-    form: Format,
-    options: Options,
-    numbers: Mapping[str, float],
-    draws: Mapping[str, Array],
-    made_from: Mapping[str, list[str]],
     vectors: ParameterVectors,
+    names: Mapping[str, str],
+    fitted: Numbers,
+    made_from: Mapping[str, list[str]],
     at_least: bool,
 ) -> list[dict[str, Any]]:
-    """Tabulate the numbers by the format's names, with intervals and parameters.
+    """Tabulate numbers by the ``names`` of a format, with intervals and parameters.
 
     ``at_least`` is whether static friction is a lower limit, by standstill.
     """
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
     unusable, rows = run.summary.sampler.status == "unusable", []
-    for attribute, number in form.names.items():
-        value, spread = numbers[number], draws[number]
-        # a model that is changed keeps its own link and drive
-        kept = options.into is not None and number in LINK_AND_DRIVE
-        if kept or (number != "gain" and not (value or np.any(spread))):
+    for attribute, number in names.items():
+        value, spread = float(fitted[number][0]), fitted[number][1:]
+        if number != "gain" and not fitted[number].any():
             continue
         limit = at_least and number == "static_friction"
         fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable or limit
-        rows.append(
-            {
-                "attribute": attribute,
-                "value": value,
-                "at_least": limit,
-                "interval": None if fixed else np.percentile(spread, ends).tolist(),
-                "unit": unit_of(form.numbers[number], run.joint),
-                "meaning": form.numbers[number][2],
-                "made_from": made_from[number],
-                "not_identified": _not_identified(run, made_from[number], vectors),
-            }
-        )
+        row = {"attribute": attribute, "value": value, "at_least": limit}
+        row["interval"] = None if fixed else np.percentile(spread, ends).tolist()
+        row |= {"unit": unit_of(NUMBERS[number], run.joint), "meaning": NUMBERS[number][2]}
+        row["made_from"] = made_from[number]
+        statuses = {name: _status(run, name, vectors) for name in made_from[number]}
+        row["not_identified"] = {k: x for k, x in statuses.items() if x != "identified"}
+        rows.append(row)
     return rows
 
 
-def _not_identified(run: Result, names: Sequence[str], vectors: ParameterVectors) -> dict[str, str]:
-    """Give the reported status of the parameters that are not identified."""
-    scaled = {name for scaling in vectors.scalings for name in scaling.names}
-    rows = {p.name: p.row for p in run.joint.parameters}
-    statuses = {}
-    for name in names:
-        quantities, table = [name], run.summary.parameters
-        if name in scaled:
-            # the scale is chosen: only motor-side totals can be identified
-            kinds = (*(rows[name].totals or (rows[name].name,)), *(rows[name].by_direction or ()))
-            quantities = [f"total_{side}.{kind}" for side in ("drive", "back") for kind in kinds]
-            table = run.summary.derived
-        worst = (table[x].reported.status for x in quantities if x in table)
-        status = max(worst, key=ORDER.index, default="identified")
-        if status != "identified":
-            statuses[name] = status
-    return statuses
+def _status(run: Result, name: str, vectors: ParameterVectors) -> str:
+    """Give the reported status of a parameter, or where its scale is chosen the worst of totals."""
+    quantities, table = [name], run.summary.parameters
+    if any(name in scaling.names for scaling in vectors.scalings):
+        # only motor-side totals can be identified
+        row = next(p.row for p in run.joint.parameters if p.name == name)
+        kinds = (*(row.totals or (row.name,)), *(row.by_direction or ()))
+        quantities = [f"total_{side}.{kind}" for side in ("drive", "back") for kind in kinds]
+        table = run.summary.derived
+    statuses = (table[x].reported.status for x in quantities if x in table)
+    return max(statuses, key=ORDER.index, default="identified")
 
 
-def _in_program(
-    program: Program, joint: Joint, numbers: Numbers, motions: Sequence[Trajectory], law: Array
+def in_program(
+    program: Program, joint: Joint, point: Array, numbers: Numbers, motions: Sequence[Trajectory]
 ) -> dict[str, Any]:
     """Say what a program makes of the numbers, in motor torque along the recorded motion.
 
-    ``numbers`` are those of the format, ``(1,)`` each, and ``law`` is the fitted joint's torque.
+    ``numbers`` are those of the format, ``(1,)`` each, for the parameters ``point`` ``(1, d)``.
     """
     factors, refused = program.changes(name for name, x in numbers.items() if x.any())
-    plain = {name: x for name, x in factors.items() if name not in ("gain", "torque_offset")}
     row: dict[str, Any] = {"program": program.name, "version": program.version}
     row |= {"refuses": refused, "at_joint": "gain" in factors, "changed": []}
-    if plain and not refused:
-        written = simulated_torque(joint, numbers, motions)[0]
-        for name, factor in plain.items():
-            alone = simulated_torque(joint, numbers | {name: factor * numbers[name]}, motions)[0]
-            term = {"number": name, "factor": factor, "stored": name in program.stored}
-            row["changed"].append({**term, "torque": rms(written - alone)})
-        read = numbers | {name: factor * numbers[name] for name, factor in plain.items()}
-        row["error"] = rms(simulated_torque(joint, read, motions)[0] - law)
-    values = {**row, "whole": rms(law), "unit": motor_unit(joint)}
-    return row | {"says": filled("program.txt.j2", **values).strip()}
+    read = {name: factor * numbers[name] for name, factor in factors.items()}
+    adds = {name: x for name, x in program.adds.items() if not numbers[name].any()}
+    read |= {name: numbers[name] + x for name, x in adds.items()}
+    read = {name: x for name, x in read.items() if name not in ("gain", "torque_offset")}
+    if read and not refused:
+        written = simulated_torque(joint, numbers, motions)
+        for name, x in read.items():
+            change = {"number": name, "stored": name in program.stored}
+            change |= {"factor": factors.get(name, 1.0), "adds": adds.get(name, 0.0)}
+            torque = rms(written - simulated_torque(joint, numbers | {name: x}, motions))
+            row["changed"].append({**change, "torque": torque})
+        law_torque = torque_along(joint, point, motions)
+        row["error"] = rms(simulated_torque(joint, numbers | read, motions) - law_torque)
+    return row
+
+
+def _harmless(remark: str) -> str:
+    """Keep a remark, which may hold names of folders and recordings, from ending a comment."""
+    printable = "".join(c for c in remark if c.isprintable())
+    return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")

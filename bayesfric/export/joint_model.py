@@ -10,19 +10,21 @@ exact: each element's, times powers of its speed over the joint's. Load-dependen
 ``(1 + mu_1) T`` while the motor drives and ``(1 - mu_2) T`` while the load does. Everything is
 divided by the mean of both factors, so that the link keeps its own inertia and the motor's torque
 is that much smaller. Whatever else the law has is fitted by least squares over the recorded motion
-with the loss numbers that a format has.
+with the loss numbers that a format has, none below zero.
+
+BAM (Rhoban/bam, ``bam/model.py``) in addition has ``(load_friction + load_rise low) |external -
+motor| s + rise low s`` with ``low = exp(-(|v|/rise_speed)^rise_exponent)`` and both torques at the
+joint. The motor's holds its own friction, so that no coefficient is one of the law.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
 
-from bayesfric.identifiability.friction_curve import friction_torque
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
@@ -48,29 +50,29 @@ NUMBERS: Mapping[str, tuple[str, str, str]] = {
     "stiffness_cubic": ("N m/rad³", "N/m³", "torque with the cube of position"),
     "gain": ("N m per {}", "N per {}", "joint torque per measured motor torque"),
     "torque_offset": ("N m", "N", "constant in the measured torque, at the joint"),
+    "load_friction": ("", "", "loss per difference of external and motor torque"),
+    "rise": ("N m", "N", "constant loss at standstill in addition"),
+    "load_rise": ("", "", "loss per torque at standstill in addition"),
+    "rise_speed": ("rad/s", "m/s", "speed at which the rise has fallen to 1/e"),
+    "rise_exponent": ("", "", "exponent of speed in the rise"),
 }
+# Numbers that only BAM has, and those that depend on the load.
+OF_BAM = ("load_friction", "rise", "load_rise", "rise_speed", "rise_exponent")
+_OF_LOAD = ("load_friction", "load_rise")
 # Of link and drive, which a format of joints leaves to the surrounding model.
 LINK_AND_DRIVE = ("link_inertia", "link_moment", "link_gravity_angle", "gain", "torque_offset")
-# Loss numbers, and the function of speed that each multiplies.
-LOSSES: Mapping[str, Callable[[Array], Array]] = {
-    "friction": np.sign,
-    "damping": np.positive,
-    "quadratic": lambda v: v * np.abs(v),
-}
+# Numbers that are fitted to what else the law has.
+LOSSES = ("friction", "damping", "quadratic", "load_friction", "rise", "load_rise")
 # Number that a parameter is part of, exactly: by its name, or by its quantity of an element.
 _NUMBER_OF: Mapping[str, str] = {
-    "load.inertia": "link_inertia",
-    "load.first_moment": "link_moment",
-    "load.gravity_angle": "link_gravity_angle",
-    "load.spring": "stiffness",
-    "load.spring_cubic": "stiffness_cubic",
-    "drive.gain": "gain",
-    "offset": "torque_offset",
-    "inertia": "armature",
-    "viscous": "damping",
-    "quadratic": "quadratic",
-    "coulomb": "friction",
-}
+    "load.inertia": "link_inertia", "load.first_moment": "link_moment",
+    "load.gravity_angle": "link_gravity_angle", "load.spring": "stiffness",
+    "load.spring_cubic": "stiffness_cubic", "drive.gain": "gain", "offset": "torque_offset",
+    "inertia": "armature", "viscous": "damping", "quadratic": "quadratic", "coulomb": "friction",
+}  # fmt: skip
+# Samples that a law with load-dependent friction is fitted to, and fixed-point iterations of its
+# torque, which friction depends on.
+_SAMPLES, _ITERATIONS = 2000, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,11 @@ class Trajectory:
 
 
 def torque_along(joint: Joint, values: Array, motions: Sequence[Trajectory]) -> Array:
-    """Compute the measured motor torque of ``(n, d)`` vectors along all motions, ``(n, M)``."""
+    """Compute the measured motor torque of ``(n, d)`` vectors along all motions, ``(n, M)``.
+
+    Without the delay, a property of the recording.
+    """
+    values = np.where([name == joint.delay_name for name in joint.names], 0.0, values)
     parts = [
         inverse_torque(joint, values, m.q, m.qd, m.qdd, inputs=m.inputs, time=m.time)
         for m in motions
@@ -167,22 +173,37 @@ def simulator_numbers(
     """Compute the numbers of a format that has those ``carried``, for vectors ``(n, d)``.
 
     Exact where the joint is what the format can express; what is left of the law along the
-    recorded motion is fitted by the losses that the format has, none of which becomes negative.
+    recorded motion is fitted by the losses that the format has.
     """
-    numbers, values = exact_numbers(joint, values), undelayed(joint, values)
+    numbers = exact_numbers(joint, values)
+    slot = dict(zip(kernels.ELEMENT_SLOTS, joint.tables(values).elements.T, strict=True))
+    rising = np.abs(slot["stribeck_ratio"]) + np.abs(slot["stribeck_load_ratio"])
+    if "rise" in carried and rising.any():
+        k = int(np.argmax(rising.max(axis=1)))
+        numbers["rise_speed"] = slot["stribeck_velocity"][k] / joint.reaches[joint.elements[k].name]
+        numbers["rise_exponent"] = slot["stribeck_exponent"][k]
+    loaded = "load_friction" in carried and bool((slot["load_drive"] + slot["load_back"]).any())
+    if "load_friction" in carried:
+        motions = thinned(motions, _SAMPLES)
     q, qd, _ = stacked(motions)
-    numbers |= {name: np.zeros(len(values)) for name in LOSSES if name not in carried}
-    if losses := [name for name in LOSSES if name in carried]:
-        law = torque_along(joint, values, motions)
-        missing = numbers["gain"][:, None] * (law - simulated_torque(joint, numbers, motions))
-        basis = np.stack([LOSSES[name](qd) for name in losses], axis=1)
-        amounts = np.stack([numbers[name] for name in losses], axis=1)
-        fitted = nonnegative_fit(basis, missing + amounts @ basis.T)
+    law = numbers["gain"][:, None] * torque_along(joint, values, motions)
+    law -= numbers["torque_offset"][:, None]
+    free, external = _without_losses(joint, numbers, motions)
+    columns = _loss_columns(numbers, qd, external - law if loaded else None)
+    losses = [name for name in columns if name in carried]
+    numbers |= {name: np.zeros(len(values)) for name in LOSSES if name not in losses}
+    if losses:
+        basis = np.stack(np.broadcast_arrays(*(columns[name] for name in losses)), axis=-1)
+        fitted = nonnegative_fit(basis, law - free)
         # an exact law leaves rounding only
-        change = np.abs(fitted - amounts) * np.abs(basis).max(axis=0)
-        size = 1e-12 * numbers["gain"] * np.abs(law).max(axis=1, initial=0.0)
-        fitted = np.where(change <= size[:, None], amounts, fitted)
-        numbers |= dict(zip(losses, fitted.T, strict=True))
+        size = 1e-12 * np.abs(law).max(axis=1, initial=0.0)
+        for k, name in enumerate(losses):
+            change = np.abs(fitted[:, k] - numbers[name]) * np.abs(basis[..., k]).max(axis=-1)
+            numbers[name] = np.where(change <= size, numbers[name], fitted[:, k])
+    if "static_friction" in carried:
+        # simulators want no less than what slides
+        static = numbers["gain"] * standstill_friction(joint, values, motions)
+        numbers["static_friction"] = np.maximum(static, numbers["friction"])
     # armature goes into a link, and a spring that stiffens into the line nearest to it
     slope = float(q @ q**3) / (float(q @ q) or 1.0)
     for name, instead, share in (
@@ -191,33 +212,29 @@ def simulator_numbers(
     ):
         if name not in carried:
             numbers[instead] = numbers[instead] + share * numbers[name]
-            numbers[name] = np.zeros(len(values))
-    if "stiffness" not in carried:
-        numbers["stiffness"] = np.zeros(len(values))
-    return numbers
+    return {name: x if name in carried else 0.0 * x for name, x in numbers.items()}
 
 
 def nonnegative_fit(columns: Array, torques: Array) -> Array:
-    """Fit coefficients of zero or more, ``(n, k)``, of columns ``(M, k)`` to torques ``(n, M)``."""
+    """Fit coefficients of zero or more ``(n, k)`` of columns ``(1 or n, M, k)`` to ``(n, M)``."""
     q, r = np.linalg.qr(columns)
-    return np.array([nnls(r, projected)[0] for projected in torques @ q])
+    projected = (torques[:, None] @ q)[:, 0]
+    return np.array([nnls(r[i % len(r)], y)[0] for i, y in enumerate(projected)])
 
 
-def undelayed(joint: Joint, values: Array) -> Array:
-    """Set the delay of vectors ``(n, d)`` to zero: it is a property of the recording."""
-    return np.where([name == joint.delay_name for name in joint.names], 0.0, values)
+def standstill_friction(joint: Joint, values: Array, motions: Sequence[Trajectory]) -> Array:
+    """Measured friction of vectors as speed vanishes, the mean along recorded positions, ``(n,)``.
 
-
-def static_friction(joint: Joint, values: Array, load: float) -> Array:
-    """Friction of vectors as speed vanishes, at the joint, ``(n,)``.
-
-    The mean over both directions and both signs of the load, which is loss-free and at the motor.
+    Half of what torque changes by as the motion turns.
     """
-    speed = 1e-9 * np.array([1.0, 1.0, -1.0, -1.0])
-    loads = load * np.array([1.0, -1.0, 1.0, -1.0])
-    at_motor = friction_torque(joint, values, speed, loads, open_scale=True).mean(axis=1)
-    gain = values[:, joint.names.index("drive.gain")] if joint.gain else 1.0
-    return np.asarray(np.maximum(exact_numbers(joint, values)["gain"] / gain * at_motor, 0.0))
+    backward, forward = (
+        torque_along(
+            joint, values, [replace(m, qd=v + 0.0 * m.qd, qdd=0.0 * m.qdd) for m in motions]
+        )
+        for v in (-1e-200, 1e-200)
+    )
+    half = 0.5 * (forward - backward).mean(axis=1)
+    return np.where(half > 1e-100, half, 0.0)  # viscous friction of that speed is none
 
 
 def simulated_torque(joint: Joint, numbers: Numbers, motions: Sequence[Trajectory]) -> Array:
@@ -226,18 +243,43 @@ def simulated_torque(joint: Joint, numbers: Numbers, motions: Sequence[Trajector
     Static friction has no effect on it. Known masses and torques on the load of ``joint`` are on
     that of the simulator, too.
     """
+    free, external = _without_losses(joint, numbers, motions)
+    speed, torque = stacked(motions)[1], free
+    loaded = any(numbers[name].any() for name in _OF_LOAD)
+    for _ in range(_ITERATIONS if loaded else 1):
+        columns = _loss_columns(numbers, speed, external - torque if loaded else None)
+        torque = free + sum(numbers[name][:, None] * x for name, x in columns.items())
+    return np.asarray((torque + numbers["torque_offset"][:, None]) / numbers["gain"][:, None])
+
+
+def _without_losses(
+    joint: Joint, numbers: Numbers, motions: Sequence[Trajectory]
+) -> tuple[Array, Array]:
+    """Torque at the joint that motions take without losses, and the load's own, ``(n, M)``."""
     motion, turns = joint.load.motion, joint.load.motion == "rotary"
-    losses: dict[str, Any] = {"coulomb": "symmetric", "viscous": True, "quadratic": True}
-    weight: dict[str, Any] = {
-        "first_moment": turns,
-        "gravity_angle": turns,
-        "gravity": joint.load.gravity,
-    }
-    plain = Joint(
-        elements=(Element("joint", motion=motion, inertia=True, **losses),),
-        load=Load(motion=motion, inertia=True, spring="stiffening", **weight),
-        offset=True,
-        gain=True,
-    )
-    columns = [numbers[number_of(p)] for p in plain.parameters]
-    return torque_along(plain, np.stack(columns, axis=1), motions)
+    load = Load(
+        motion=motion, inertia=True, first_moment=turns, gravity_angle=turns, spring="stiffening",
+        gravity=joint.load.gravity,
+    )  # fmt: skip
+    plain = Joint(elements=(Element("joint", motion=motion, inertia=True),), load=load)
+    values = np.stack([numbers[number_of(p)] for p in plain.parameters], axis=1)
+    still = [replace(m, qd=0.0 * m.qd, qdd=0.0 * m.qdd) for m in motions]
+    return torque_along(plain, values, motions), -torque_along(plain, values, still)
+
+
+def _loss_columns(numbers: Numbers, speed: Array, load: Array | None) -> dict[str, Array]:
+    """Torque of each of :data:`LOSSES` for a number of one, ``(1 or n, M)``.
+
+    Without a ``load`` ``(n, M)`` no loss depends on it.
+    """
+    v, sign, low = speed[None], np.sign(speed)[None], None
+    columns = {"friction": sign, "damping": v, "quadratic": v * np.abs(v)}
+    if numbers["rise_exponent"].any():
+        width, exponent = (numbers[name][:, None] for name in ("rise_speed", "rise_exponent"))
+        low = np.exp(-(np.abs(v / width) ** exponent))
+        columns["rise"] = low * sign
+    if load is not None:
+        columns["load_friction"] = np.abs(load) * sign
+        if low is not None:
+            columns["load_rise"] = low * columns["load_friction"]
+    return columns

@@ -62,7 +62,7 @@ def parameter_vectors(run: Result, motions: Sequence[Trajectory], count: int) ->
                 values[:, k] = np.clip(values[:, k] + shift, p.lower, p.upper)
         return _balanced(values, opened)
 
-    draws, many = corrected(count), corrected(_DRAWS)
+    many = corrected(_DRAWS)
     reported = np.median(many, axis=0)
     for k, p in enumerate(joint.parameters):
         if p.name in rows and p.name not in scaled:
@@ -72,9 +72,8 @@ def parameter_vectors(run: Result, motions: Sequence[Trajectory], count: int) ->
             reported[k] = np.median(turned(many[:, k], mean))
     reported = _balanced(reported[None], opened)[0]
     draw = representative_draw(joint, many, reported, motions)
-    if draw is not None:
-        return ParameterVectors(opened, draw, "draw", draws)
-    return ParameterVectors(opened, reported, "reported", draws)
+    point = reported if draw is None else draw
+    return ParameterVectors(opened, point, "reported" if draw is None else "draw", corrected(count))
 
 
 def representative_draw(

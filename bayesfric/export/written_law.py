@@ -25,8 +25,6 @@ from bayesfric.mechanism.quantities import Quantity, State
 from bayesfric.recordings.arrays import Array
 
 Language = Literal["python", "c"]
-Formula = float | str
-Statements = list[tuple[str, str]]  # name and formula, in order; a comment has no name
 
 # NumPy's operations as formulas.
 _WRITTEN = {
@@ -43,7 +41,6 @@ _WRITTEN = {
     "maximum": "fmax({}, {})",
     "minimum": "fmin({}, {})",
     "arctan": "atan({})",
-    "where": "where({}, {}, {})",
     "sign": "sign({})",
 } | {x: f"{x}({{}})" for x in ["sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh"]}
 _NUMBER = r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?"
@@ -64,15 +61,25 @@ class Traced(NDArrayOperatorsMixin):
         self.formula = formula
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        if method != "__call__" or options:
-            raise Unwritten(ufunc.__name__)
-        return _operation(ufunc.__name__, *inputs)
+        """Write an operation; ``x + 0``, ``x - 0``, ``x 1`` and ``x/1`` change nothing."""
+        name = ufunc.__name__
+        if method != "__call__" or options or name not in _WRITTEN:
+            raise Unwritten(name)
+        of = [_formula(x) for x in inputs]
+        if name == "multiply" and 0.0 in of:
+            return 0.0
+        neutral = {"add": 0.0, "subtract": 0.0, "multiply": 1.0, "divide": 1.0}.get(name)
+        if neutral is not None and neutral == of[1]:
+            return inputs[0]
+        if name in ("add", "multiply") and neutral == of[0]:
+            return inputs[1]
+        return Traced(_WRITTEN[name].format(*of))
 
     def __bool__(self) -> bool:
         raise Unwritten("a choice")
 
 
-def _formula(x: Any) -> Formula:
+def _formula(x: Any) -> float | str:
     if isinstance(x, Traced):
         return x.formula
     if isinstance(x, np.ndarray) and x.ndim == 0:  # np.ones_like(...)
@@ -82,25 +89,12 @@ def _formula(x: Any) -> Formula:
     raise Unwritten(type(x).__name__)
 
 
-def _operation(operation: str, *inputs: Any) -> Any:
-    """Build an operation, simplified: ``x + 0``, ``x - 0``, ``x 1``, ``x/1`` and ``x 0``."""
-    if operation not in _WRITTEN:
-        raise Unwritten(operation)
-    of = [_formula(x) for x in inputs]
-    if operation in ("subtract", "divide") and of[1] == (operation == "divide"):
-        return inputs[0]
-    if operation == "add" and 0.0 in of:
-        return inputs[1 - of.index(0.0)]
-    if operation == "multiply" and (0.0 in of or 1.0 in of):
-        return 0.0 if 0.0 in of else inputs[1 - of.index(1.0)]
-    return Traced(_WRITTEN[operation].format(*of))
-
-
 def _where(test: Any, yes: Any, no: Any) -> Any:
     """Evaluate, or write down, a conditional expression of Python."""
     if not isinstance(test, Traced):
         return yes if test else no
-    return yes if _formula(yes) == _formula(no) else _operation("where", test, yes, no)
+    of = test.formula, _formula(yes), _formula(no)
+    return yes if of[1] == of[2] else Traced("where({}, {}, {})".format(*of))
 
 
 class _Choices(ast.NodeTransformer):
@@ -125,29 +119,35 @@ def _kernels() -> dict[str, Any]:
     return run
 
 
-def statements(joint: Joint, vector: Array) -> Statements:
+def statements(joint: Joint, vector: Array) -> list[tuple[str, str]]:
     """Write down the measured torque of a joint at one vector ``(d,)``, as ``measured``.
 
-    It starts from ``q``, ``v``, ``a`` and ``s``, at 20 degC and time zero, without a delay.
+    Names and formulas in order; a comment has no name. It starts from ``q``, ``v``, ``a``, ``s``,
+    at 20 degC and time zero, without a delay.
     """
     run, custom = _kernels(), [term.name for term in joint.terms]
-    lines: Statements = []
+    lines: list[tuple[str, str]] = []
     (elements,), (load,), _ = joint.tables(vector[None])
     q, v, a, s = map(Traced, "qvas")
 
-    def carried(place: int, at: State) -> Any:
+    def carried(place: int, reach: float) -> Any:
         """Sum up the terms without a slot at one place, but for those with a signal."""
         total: Any = 0.0
         for term in joint.carried:
-            if term.place == place and not term.row.signal:
-                name = joint.names[term.index]
-                shape = vector[[term.shape]] if term.shape >= 0 else ()
-                try:
-                    if name in custom and "time" in str(formula_of(term.row)):
-                        raise Unwritten(name)
-                    total = total + vector[term.index] * _torque_of(term.row, at, *shape)
-                except Unwritten:
-                    raise Unwritten(name) from None
+            if term.place != place or term.row.signal:
+                continue
+            name = joint.names[term.index]
+            at = State(
+                reach * q, reach * v, reach * a, s, Traced("time") if name in custom else 0.0
+            )
+            shape = vector[[term.shape]] if term.shape >= 0 else ()
+            try:
+                torque = torque_of(term.row, at, *shape)
+            except Unwritten:
+                raise Unwritten(name) from None
+            if "time" in str(_formula(torque)):
+                raise Unwritten(name)
+            total = total + vector[term.index] * torque
         return total
 
     def put(torque: Any, name: str, comment: str = "") -> Any:
@@ -159,36 +159,27 @@ def statements(joint: Joint, vector: Array) -> Statements:
         return Traced(name)
 
     weight = run["gravity_torque"](load, np.sin(q), np.cos(q))
-    torque = (
-        load[kernels.LOAD_INERTIA] * a + weight + carried(len(elements), State(q, v, a, s, 0.0))
-    )
-    torque = put(torque, "torque", "load")
+    inertia = load[kernels.LOAD_INERTIA] * a
+    torque = put(inertia + weight + carried(len(elements), 1.0), "torque", "load")
     for k in range(len(elements) - 1, -1, -1):
         element, name = elements[k], joint.elements[k].name
         reach = joint.reaches[name]
-        at = State(reach * q, reach * v, reach * a, s, 0.0)
         torque = put(torque / element[kernels.RATIO], f"output_{k}", name)
-        risen = run["rises"](element, at.speed)
-        passed = run["element_torque"](element, torque, s, at.speed, at.acceleration, risen)
-        torque = put(passed + carried(k, at), f"input_{k}")
+        risen = run["rises"](element, reach * v)
+        passed = run["element_torque"](element, torque, s, reach * v, reach * a, risen)
+        torque = put(passed + carried(k, reach), f"input_{k}")
     put((torque + load[kernels.OFFSET]) / load[kernels.GAIN], "measured", "as measured")
     return lines
 
 
-def _torque_of(row: Quantity, at: State, *shape: Any) -> Any:
-    """Return the torque of a row at a state of :class:`Traced` for a coefficient of one."""
+def torque_of(row: Quantity, at: State, *shape: Any) -> Any:
+    """Write the torque of a row for a coefficient of one at a state of :class:`Traced`."""
     assert row.column is not None
     try:
         torque = row.column(at, *shape)
         return torque if isinstance(torque, Traced) else _formula(torque)
     except (TypeError, ValueError, AttributeError) as error:  # math.sin(...), m.position[0]
         raise Unwritten(str(error)) from None
-
-
-def formula_of(row: Quantity) -> Formula:
-    """Return the formula of a row's torque for a coefficient of one, in a state's names."""
-    at = State(*map(Traced, State._fields))
-    return _formula(_torque_of(row, at, *((Traced("shape"),) if row.shape else ())))
 
 
 def _text(formula: str, language: Language) -> str:
@@ -201,7 +192,7 @@ def _text(formula: str, language: Language) -> str:
 
 
 def law(
-    joint: Joint, vector: Array, language: Language, *, required: bool = True
+    joint: Joint, vector: Array, language: Language, required: bool = True
 ) -> dict[str, Any] | None:
     """Write the law of a joint at one parameter vector ``(d,)``.
 

@@ -241,7 +241,7 @@ def given_by(
 
     with_all = sd_with(informative)
     # bounds, or its own prior, narrow the number further
-    if not with_all < wider * sd or sd_with(()) < 2.0 * with_all:
+    if not informative or not with_all < wider * sd or sd_with(()) < 2.0 * with_all:
         return []
     best = min(informative, key=lambda i: sd_with((i,)))
     if sd_with((best,)) < wider * with_all:

@@ -89,8 +89,8 @@ def closed_loop_mode(
         at = target.at(target.to_parameters(mode[None])[0][0])
         return ClosedLoopMode(at, mode, spread, faster)
 
-    candidates = _starting_points(target, estimates, prior_draws)
-    mode = climb_from(target, candidates[int(np.argmax(target(candidates)))])
+    modes = [climb_from(target, u) for u in _starting_points(target, estimates, prior_draws)]
+    mode = modes[int(np.argmax(target(np.array(modes))))]
     if likelihood.longer == 1 or np.isinf(largest):
         return at_mode(target, mode, {})
     longer = copy(target)
@@ -187,29 +187,46 @@ def _spread(target: Target, prior_draws: Array) -> Array:
 
 
 def _starting_points(target: Target, estimates: Sequence[Estimate], prior_draws: Array) -> Array:
-    """Return starting coordinates ``(n, d)``: estimates, and others of delay, inertia and loss.
+    """Search starting coordinates ``(n, d)`` from estimates, one parameter after the other.
 
     The torque of a control law is late and noisy: its estimate has too small an inertia where the
-    encoder is coarse, and takes a delay for a viscous loss.
+    encoder is coarse, and takes a delay for a viscous loss. Far from the mode errors are larger
+    than the noise, which is then tried larger. A loss by the load may end where the gearbox does
+    not move by its load: another start has the prior's, with a gain that drives as much.
     """
-    k = len(target.free)
+    free, k = target.free, len(target.free)
     points = [dict(e.point) for e in estimates if e.point]
-    rows = unwrapped(target, np.array([[p[name] for name in target.free] for p in points]))
+    rows = unwrapped(target, np.array([[p[name] for name in free] for p in points]))
+    inner = np.quantile(prior_draws, [0.002, 0.5, 0.998], axis=0)
     assert isinstance(target.likelihood, ClosedLoopLikelihood)
     periods = max(r.period for r in target.likelihood.recordings) * np.arange(5)
-    changes = {"delay": periods, "inertia": np.array([3.0]), "viscous": np.array([0.2])}
-    for quantity, values in changes.items():
-        columns = [j for j, n in enumerate(target.free) if n.rpartition(".")[2] == quantity]
-        if columns:
-            others = np.repeat(rows, len(values), axis=0)
-            change = np.tile(values, len(rows))[:, None]
-            others[:, columns] = change if quantity == "delay" else others[:, columns] * change
-            rows = np.concatenate([rows, others])
-    low, *noises, high = np.quantile(prior_draws, [0.002, 0.5, 0.84, 0.975, 0.998], axis=0)
-    rows = np.unique(np.clip(rows, low[:k], high[:k]), axis=0)
-    # with little noise what is wrong of a start is far too certain
-    starts = [np.column_stack([rows, np.tile(noise[k:], (len(rows), 1))]) for noise in noises]
-    return target.from_parameters(np.concatenate(starts))
+    quantities = [name.rpartition(".")[2] for name in free]
+    if losses := [j for j, quantity in enumerate(quantities) if quantity.startswith("load")]:
+        others = rows.copy()
+        others[:, losses] = inner[1, losses]
+        if "drive.kp" in free:
+            ratio = (1.0 + others[:, losses]) / (1.0 + rows[:, losses])
+            others[:, free.index("drive.kp")] *= ratio.prod(axis=1)
+        rows = np.concatenate([rows, others])
+
+    def best_of(rows: Array) -> Array:
+        rows = np.clip(rows, inner[0], inner[2])
+        return np.asarray(rows[int(np.argmax(target(target.from_parameters(rows))))])
+
+    noises = np.quantile(prior_draws[:, k:], [0.5, 0.9, 0.99], axis=0)
+    starts = [best_of(np.array([[*row, *noise] for noise in noises])) for row in rows]
+    for n, best in enumerate(starts):
+        for j in 2 * list(range(best.size)):
+            is_delay = j < k and quantities[j] == "delay"
+            if j in losses or (inner[0, j] < 0.0 and not is_delay):
+                continue
+            values = np.array([0.2 * best[j], 3.0 * best[j], inner[1, j]])
+            values = periods if is_delay else values
+            tried = np.tile(best, (1 + values.size, 1))
+            tried[1:, j] = values
+            best = best_of(tried)
+        starts[n] = best
+    return target.from_parameters(np.array(starts))
 
 
 def score(

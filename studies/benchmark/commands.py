@@ -5,7 +5,7 @@ separate process, alternating with the imports, on the packaged (SIMULATED) knee
 medians: seconds and CPU seconds until the first line, which is that of the table, and until the
 end, and the ratios of CPU seconds to the imports: a busy machine changes them least. A first run
 has nothing compiled. ``--source`` is another checkout to time. Writes ``commands.json``
-(``commands-before.json`` with ``--source``).
+(``commands-before.json`` with ``--source``), under the version of Python.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def main() -> None:
                 times[command].append(timed(line, source, folder, **environment))
     base = median(run[2] for run in times["the libraries' imports"])
     result: dict[str, Any] = {
-        "machine": f"{os.cpu_count()} cores, Python {platform.python_version()}",
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}",
         "runs": options.runs,
         "commands": {
             name: {
@@ -112,7 +112,9 @@ def main() -> None:
     for name, row in result["commands"].items():
         print(f"{name:24}" + "".join(f"{value:9.2f}" for value in row.values()))
     path = FOLDER / ("commands-before.json" if options.source else "commands.json")
-    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    versions = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    versions["Python " + ".".join(platform.python_version_tuple()[:2])] = result
+    path.write_text(json.dumps(versions, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

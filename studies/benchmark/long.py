@@ -1,14 +1,16 @@
 """Measure CPU time, memory and file size of fits of long SIMULATED recordings.
 
-``python studies/benchmark/long.py [--samples 10000 100000 1000000]`` makes the demo's recording so
-long, fits it in a process of its own, and prints CPU seconds over those of importing the libraries,
-the most memory, and the size of ``posterior.nc``. Writes ``long.json``.
+``python studies/benchmark/long.py [--samples 10000 100000]`` makes the demo's recording so long,
+fits it in a process of its own, and prints CPU seconds over those of importing the libraries, the
+power of the length with which they grew, the most memory, and the size of ``posterior.nc``. Writes
+``long.json``.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import resource
 import subprocess
 import sys
@@ -40,7 +42,7 @@ def once(samples: int, folder: Path) -> None:
 def main() -> None:
     """Run each length in a separate parent process, one after the other."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
+    parser.add_argument("--samples", type=int, nargs="*", default=[10**k for k in range(4, 8)])
     parser.add_argument("--once", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.once:
@@ -51,10 +53,14 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             words = [sys.executable, __file__, "--once", folder, "--samples", str(samples)]
             row = json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout)
+        if result:
+            growth = math.log(row["cpu"] / result[-1]["cpu"])
+            row["power"] = growth / math.log(samples / result[-1]["samples"])
         result.append(row)
         print(
             f"{samples:>10,} {row['cpu']:6.1f} s = {row['over_imports']:5.1f} ×  "
-            f"{row['memory_mb']:6.0f} MB  posterior.nc {row['posterior_mb']:5.1f} MB",
+            f"{row['memory_mb']:6.0f} MB  posterior.nc {row['posterior_mb']:5.1f} MB  "
+            f"power {row.get('power', math.nan):.2f}",
             flush=True,
         )
     (FOLDER / "long.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -23,9 +23,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
-from bayesfric.export.exported import Options, _export
+from bayesfric.export.exported import export_to
 from bayesfric.export.formats import format_of
-from bayesfric.export.joint_model import Trajectory, exact_numbers, torque_along
+from bayesfric.export.joint_model import (
+    Trajectory,
+    exact_numbers,
+    simulator_numbers,
+    torque_along,
+)
 from bayesfric.export.programs import program_of, programs
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
@@ -278,8 +283,34 @@ def roboticstoolbox(path, _form):
     return Loaded(torque, None, stored)
 
 
+def genesis(path, form):
+    import genesis
+    import torch
+
+    if not genesis._initialized:
+        genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
+    options = genesis.options.SimOptions(dt=STEP, gravity=(0.0, 0.0, -GRAVITY))
+    scene = genesis.Scene(show_viewer=False, sim_options=options)
+    morphs = genesis.morphs
+    file = (
+        morphs.MJCF(file=str(path)) if form == "mujoco" else morphs.URDF(file=str(path), fixed=True)
+    )
+    joint = scene.add_entity(file)
+    scene.build()
+
+    def accelerate(q, qd, torque):
+        joint.set_dofs_position(torch.tensor([q]))
+        joint.set_dofs_velocity(torch.tensor([qd]))
+        joint.control_dofs_force(torch.tensor([torque]))
+        scene.step()
+        return (float(joint.get_dofs_velocity()[0]) - qd) / STEP
+
+    return Loaded(by_steps(accelerate))
+
+
 def brax(path, _form):
     import jax
+    from brax import actuator
     from brax.generalized import pipeline
     from brax.io import mjcf
 
@@ -294,9 +325,13 @@ def brax(path, _form):
         state = start(np.array([q]), np.array([qd]))
         return (float(step(state, np.array([control])).qd[0]) - qd) / STEP
 
-    gain = float(system.actuator.gear[0])
-    torque = by_steps(lambda q, qd, x: accelerate(q, qd, x / gain))
-    return Loaded(torque, acts={"gain": gain})
+    still = np.zeros(1)
+    start_torque, driven = (
+        float(actuator.to_tau(system, np.array([x]), still, still)[0]) for x in (0.0, 1.0)
+    )
+    gain = driven - start_torque
+    torque = by_steps(lambda q, qd, x: accelerate(q, qd, (x - start_torque) / gain))
+    return Loaded(torque, acts={"gain": gain, "torque_offset": -start_torque})
 
 
 def bam(path, _form):
@@ -315,7 +350,7 @@ def bam(path, _form):
     names = ("friction", "damping", "load_friction")
     fitted = np.linalg.lstsq(np.array(columns), [loss(*state) for state in states])[0]
     acts = dict(zip(names, fitted, strict=True))
-    return Loaded(loss, acts=acts | {"armature": json.loads(path.read_text())["armature"]})
+    return Loaded(loss, acts=acts | {"armature": json.loads(path.read_text()).get("armature", 0.0)})
 
 
 def usd(path, _form):
@@ -353,6 +388,7 @@ PROGRAMS = {
     "roboticstoolbox": (
         "roboticstoolbox", "roboticstoolbox-python", ("urdf",), roboticstoolbox,
     ),
+    "genesis": ("genesis", "genesis-world", ("mujoco", "urdf"), genesis),
     "brax": ("brax", "brax", ("mujoco",), brax),
     "bam": ("bam", "better-actuator-models", ("bam",), bam),
     "usd-core": ("pxr.Usd", "usd-core", ("isaac",), usd),
@@ -446,11 +482,14 @@ def load(name, form, exported, folder):
 
 def exported_to(form, run, leave_out=()):
     """Export with some numbers left out of the format."""
-    return _export(run, format_of(form).without(leave_out), Options())
+    return export_to(format_of(form).without(leave_out), run)
 
 
 def read(name, form, run, leave_out):
-    """Factors of the numbers in a program, those that it only stores, and what it warns of."""
+    """Factors of the numbers in a program, those that it only stores, and what it warns of.
+
+    Last the armature that it adds to a file without one.
+    """
     exported = exported_to(form, run, leave_out)
     expected = expected_numbers(exported, form)
     with tempfile.TemporaryDirectory() as folder:
@@ -471,7 +510,8 @@ def read(name, form, run, leave_out):
         near = round(factor)
         factors[number] = float(near if abs(factor - near) < 0.03 else round(factor, 3))
     warned = [x for x in factors if not factors[x] and x in loaded.warned.lower()]
-    return factors, stored, warned
+    added = 0.0 if "armature" in expected else round(measured.get("armature", 0.0), 3)
+    return factors, stored, warned, {"armature": added} if added > 0.01 else {}
 
 
 def expected_numbers(exported, form):
@@ -492,12 +532,13 @@ def measured(name, form):
     """Measure a program's row without suspects, and what each of these spoils."""
     run = run_of("every number" if form != "bam" else "rabbit-knee")
     suspects = _SUSPECTS.get(form, ())
-    base, stored, warned = read(name, form, run, suspects)
+    base, stored, warned, _ = read(name, form, run, suspects)
+    adds = read(name, form, run, (*suspects, "armature"))[3]
     takes, spoils = dict(base), {}
     for number in suspects:
         rest = [x for x in suspects if x != number]
         try:
-            factors, also_stored, also_warned = read(name, form, run, rest)
+            factors, also_stored, also_warned, _ = read(name, form, run, rest)
         except Exception:  # whatever a program raises: it refuses the file
             spoils[number], takes[number] = [], 0.0
             continue
@@ -508,7 +549,7 @@ def measured(name, form):
             spoils[number] = sorted(lost)
         stored += [x for x in also_stored if x == number]
         warned += [x for x in also_warned if x == number]
-    return {"takes": takes, "stored": stored, "warns": warned, "spoils": spoils}
+    return {"takes": takes, "stored": stored, "warns": warned, "spoils": spoils, "adds": adds}
 
 
 def motion_of(what):
@@ -550,7 +591,7 @@ def torque_errors(name, form):
                     row.append(None)
         target = format_of(form).without(leave_out)
         recorded = [Trajectory.of(o) for o in run.model.observations]
-        numbers = target.fit(joint, vector, recorded, 0.0)
+        numbers = simulator_numbers(joint, vector, recorded, target.carried)
         carried = gain * target.torque(joint, vector, numbers, path)[0] - offset
         row += [rms(carried - law), rms(law)]
         # what rounding leaves is 0
@@ -561,13 +602,12 @@ def torque_errors(name, form):
 def seen(loaded, form, exact, motion):
     """Torque at the joint of a program along a motion, with the link of the law."""
     weight = GRAVITY * exact["link_moment"] * np.sin(motion[0] + exact["link_gravity_angle"])
-    external = weight + exact["stiffness"] * motion[0] + exact["stiffness_cubic"] * motion[0] ** 3
     if form == "bam":
-        free = (exact["armature"] + exact["link_inertia"]) * motion[2] + external
+        free = (exact["armature"] + exact["link_inertia"]) * motion[2] + weight
         torque = free.copy()
         for k, speed in enumerate(motion[1]):
             for _ in range(100):  # its friction depends on the motor's torque
-                loss = loaded.torque(torque[k], -external[k], speed)
+                loss = loaded.torque(torque[k], -weight[k], speed)
                 torque[k] = free[k] + np.sign(speed) * loss
         return torque
     torque = np.array([loaded.torque(*state) for state in motion.T])
@@ -622,7 +662,8 @@ def table(rows):
                 [x if f == 1.0 else f"{x} times {f:.4g}" for x, f in takes.items() if f],
                 sorted(stored),
                 [f"{x} (it warns)" if x in warns else x for x in lost]
-                + [f"with {x}: {', '.join(names) or 'refused'}" for x, names in spoils],
+                + [f"with {x}: {', '.join(names) or 'refused'}" for x, names in spoils]
+                + [f"adds {amount:g} to {x}" for x, amount in row.get("adds", {}).items()],
                 *([torque_cell(*row["torque"][x])] if "torque" in row else [] for x in MOTIONS),
             ]
             texts = " | ".join(", ".join(cell).replace("_", " ") for cell in cells)

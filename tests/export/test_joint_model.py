@@ -11,7 +11,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.export.exported import lost_terms
-from bayesfric.export.formats import FORMATS, body_of
+from bayesfric.export.formats import body_of, formats
 from bayesfric.export.joint_model import (
     LOSSES,
     NUMBERS,
@@ -19,7 +19,7 @@ from bayesfric.export.joint_model import (
     exact_numbers,
     simulated_torque,
     simulator_numbers,
-    static_friction,
+    standstill_friction,
     torque_along,
 )
 from bayesfric.export.point_estimate import representative_draw
@@ -106,15 +106,18 @@ def test_static_friction_is_the_law_as_speed_vanishes():
         Element("motor", ratio=4.0, inertia=True, coulomb="symmetric", stribeck=True),
         Element("gearbox", ratio=5.0, load_loss="two"),
     )
-    joint = Joint(elements=elements, load=Load(inertia=True))
+    joint = Joint(elements=elements, load=Load(inertia=True, first_moment=True))
     values = dict.fromkeys(joint.names, 0.1)
     values |= {"motor.coulomb": 0.2, "motor.stribeck_ratio": 0.5}
     values |= {"gearbox.load_drive": 0.3, "gearbox.load_back": 0.1}
     vector = joint.vector(values)[None]
-    # (mu_1 + mu_2)/2 of the load at the joint, over the mean factor of both directions, 1.1
-    at_motor = 0.2 * 1.5 + 0.5 * (0.3 + 0.1) / 1.1 * 0.7
-    expected = 20.0 / 1.1 * at_motor
-    assert static_friction(joint, vector, 0.7)[0] == pytest.approx(expected)
+    # (mu_1 + mu_2)/2 of the weight at the motor, whichever way it acts
+    (motion,) = sine_motion()
+    weight = np.abs(0.1 * joint.load.gravity * np.sin(motion.q)).mean() / 20.0
+    expected = 0.2 * 1.5 + 0.5 * (0.3 + 0.1) * weight
+    assert standstill_friction(joint, vector, [motion])[0] == pytest.approx(expected)
+    exported = simulator_numbers(joint, vector, [motion], formats()["isaac"].carried)
+    assert exported["static_friction"][0] == pytest.approx(20.0 / 1.1 * expected)
 
 
 @pytest.mark.slow
@@ -165,7 +168,7 @@ def test_every_choice_of_the_table_has_a_number_or_is_listed_as_lost(bearer, opt
     shapes = {"stribeck_velocity", "stribeck_exponent", "power_exponent", "warming_time"}
     lost = {
         name
-        for row in lost_terms(joint, FORMATS["mujoco"], values[0], motions, 0.0)[0]
+        for row in lost_terms(joint, formats()["mujoco"], values[0], motions)[0]
         for name in row["parameters"]
     }
     for k, p in enumerate(joint.parameters):
@@ -181,7 +184,7 @@ def test_every_choice_of_the_table_has_a_number_or_is_listed_as_lost(bearer, opt
 def test_folding_keeps_the_inertia_of_a_joint_alone(name):
     joint, values = preset("rabbit-knee")
     vector = joint.vector(values)[None]
-    exported = simulator_numbers(joint, vector, sine_motion(), FORMATS[name].carried)
+    exported = simulator_numbers(joint, vector, sine_motion(), formats()[name].carried)
     exact = exact_numbers(joint, vector)
     total = exact["armature"] + exact["link_inertia"]
     np.testing.assert_allclose(exported["armature"] + exported["link_inertia"], total)
@@ -217,7 +220,7 @@ def test_a_rotors_inertia_stays_the_rotors_where_no_link_has_weight(rotary, iner
     ("options", "key"),
     [
         ({"to": "mojoco"}, "did you mean 'mujoco'"),
-        ({"to": "urdf", "draws": 3}, "--draws"),
+        ({"to": "urdf", "into": "leg.xml"}, "--into"),
         ({"to": "csv", "draws": 1000}, "--draws"),
         ({"to": "csv", "draws": 0}, "--draws"),
         ({"to": "mujoco", "joint": 'a"b'}, "--joint"),
@@ -231,7 +234,7 @@ def test_impossible_options_are_refused(options, key):
 def test_the_table_of_draws_has_units_and_parameters():
     run = finished_posterior("motor-axis")
     exported = bf.export(run, "csv", draws=20)
-    table = pd.read_csv(io.BytesIO(exported.main))
+    table = pd.read_csv(io.StringIO(exported.main))
     assert len(table) == 20
     np.testing.assert_allclose(table["friction [N m]"], table["motor.coulomb [N m]"])
     offset = run.values(run.picked(20))[:, run.joint.names.index("offset")]

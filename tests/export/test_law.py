@@ -81,7 +81,7 @@ def c_files(joint, vector):
     """Write a joint as the format does, of a vector alone."""
     given = {"remarks": [], "stem": "joint", "law": law(joint, vector, "c"), "unit": "N m"}
     names = ("feedforward.c", "feedforward.h")
-    return {f"joint_{name}": filled(f"{name}.j2", position_unit="rad", **given) for name in names}
+    return {f"joint_{name}": filled(f"{name}.j2", rotary=True, **given) for name in names}
 
 
 def python_of(joint, vector):

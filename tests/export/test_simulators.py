@@ -180,7 +180,9 @@ def test_bam_is_the_nearest_to_the_law_along_the_motion(name, model):
         for factor in (0.99, 1.01):
             assert p[key] == 0.0 or error(p | {key: factor * p[key]}) > error(p)
     assert value["armature"] == p["armature"] == full["armature"]
-    # its own torque, in which friction depends on the motor's torque
+    # its own torque, in which friction depends on the motor's torque; it has no spring
+    spring = full.get("stiffness", 0.0) * q
+    free, external = free - spring, external + spring
     torque = free.copy()
     for _ in range(100):
         torque = free + np.sign(v) * bam_friction(p, torque, external, v)

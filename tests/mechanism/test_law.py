@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.export.written_law import Unwritten, formula_of, statements
+from bayesfric.export.written_law import Traced, Unwritten, statements, torque_of
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.quantities import CYCLES, QUANTITIES, State
 from bayesfric.recordings.measurement import AT_ROOM
@@ -23,6 +23,14 @@ COLUMNS = {
 
 NUMPY = {"fabs": np.abs, "fmax": np.maximum, "fmin": np.minimum, "atan": np.arctan}
 NUMPY |= {"pow": np.power, **vars(np)}
+
+
+def formula_of(row):
+    """Write a column down in the names of a state."""
+    torque = torque_of(
+        row, State(*map(Traced, State._fields)), *[Traced("shape")] * bool(row.shape)
+    )
+    return torque.formula if isinstance(torque, Traced) else torque
 
 
 def value(formula, at):
