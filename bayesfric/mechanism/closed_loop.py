@@ -85,8 +85,9 @@ def _loop(
     time: Array | None,
     step: float,
 ) -> _Loop:
-    time = period * np.arange(law.command.size) if time is None else time
-    weights, columns, inputs = joint.load_columns(vectors, inputs, time)
+    even = period * np.arange(law.command.size)
+    stamps: Array = np.ascontiguousarray(even if time is None else time, dtype=np.float64)
+    weights, columns, inputs = joint.load_columns(vectors, inputs, stamps)
     elements, load, carried = forward_tables(joint, vectors, inputs)
     # gains that are parameters act inside the drive's limit, not as a gain and a viscous loss
     factor, kd = joint.drive_gains(vectors)
@@ -109,7 +110,7 @@ def _loop(
         places = np.arange(b - a)
         bends[a:b] = CubicSpline(places, command[a:b], bc_type="natural")(places, 2)
     gains_of_none = 0.0, 0.0, limit, back_emf, held, 0.0, 0.0
-    drive = _Drive(command, 1.0, bends, scale, on, *gains_of_none, period, time, step)
+    drive = _Drive(command, 1.0, bends, scale, on, *gains_of_none, period, stamps, step)
     least = load.copy()
     least[:, LOAD_INERTIA] += (weights @ columns[:, 0]).min(axis=1)
     valid = possible(joint, vectors, elements, least)
