@@ -173,6 +173,10 @@ class Inputs:
         """
         return self.others.get(f"{name} inertia")
 
+    def is_of_load(self, name: str) -> bool:
+        """Whether a further column is an inertia or the acceleration of computed torques."""
+        return name == ACCELERATION or name.endswith(" inertia")
+
     def each(self, change: Callable[[Signal], Signal]) -> Inputs:
         """Change every recorded signal."""
         measured = {key: getattr(self, key) for key in ("temperature", "load_torque")}
