@@ -22,7 +22,6 @@ from bayesfric.arm.departures import (
     bodies_torques,
     common_delay,
     coupled_joint,
-    coupling_remark,
     find_departures,
 )
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
@@ -238,7 +237,12 @@ class Arm:
         coupled = coupled_joint(observation, log, order, name, torques[0])
         if coupled is None:
             return joint
-        text = coupling_remark(name, coupled, "N" if joint.joint.motion == "linear" else "N m")
+        (other, ratio, before, after), linear = coupled, joint.joint.motion == "linear"
+        text = (
+            f"its effort is that of a motor that turns with {other}, too ({before:.3g} to "
+            f'{after:.3g} {"N" if linear else "N m"} rms): [coupling] joints = ["{other}", '
+            f'"{name}"], matrix = [[1, 0], [{ratio:.2g}, 1]]'
+        )
         return replace(joint, remarks=(*joint.remarks, text), is_coupled=True)
 
     def _projected(

@@ -55,6 +55,15 @@ NUMBERS: Mapping[str, JointNumber] = {
 }
 
 
+def torque_columns(rigid: Array, speed: Array, acceleration: Array) -> Array:
+    """Stack the torque of one of each number, in the order of :data:`NUMBERS` but for the gain.
+
+    ``rigid`` is the rigid-body torque; all have any shape ``(...)``, and the result ``(5, ...)``.
+    """
+    sign = np.sign(speed)
+    return np.stack([acceleration, sign, speed, np.abs(rigid) * sign, np.ones_like(speed)])
+
+
 class Payload(Options):
     """The ``[payload]`` table: a mass on a link that is not in the URDF."""
 

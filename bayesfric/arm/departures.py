@@ -27,9 +27,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import Vector
+from bayesfric.arm.arm_options import Vector, torque_columns
 from bayesfric.arm.inertial_prior import PER_BODY, Bodies, InertialPrior
-from bayesfric.arm.joint_consistency import UNLIKELY
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.input_error import input_error
@@ -41,8 +40,10 @@ from bayesfric.recordings.signals import Signals, retimed
 from bayesfric.report.summary.doubts import put_doubts
 
 # Scales of a departure that are compared, and the logs of the half-Cauchy's density of their logs.
-_SCALES = 2.0 ** np.arange(-4, 13)
+_SCALES = np.asarray(2.0 ** np.arange(-4, 13), dtype=np.float64)
 _ODDS = np.log(2.0 * _SCALES / (1.0 + _SCALES**2))
+# Least odds of an alternative.
+_LEAST = 0.05
 # Twice the log of a Bayes factor that is strong evidence (Kass and Raftery 1995).
 _STRONG = 6.0
 # Longest delay to look for, s.
@@ -64,7 +65,7 @@ class Departures:
     """The departures taken, and factors of the torque of the bodies with their sds."""
 
     taken: tuple[Departure, ...]
-    alternatives: tuple[Departure, ...]  # that explain the log nearly as well in place of one
+    alternatives: tuple[Departure, ...]  # in addition or in place of one, not much less likely
     joints: Mapping[str, tuple[float, float]]  # of those whose effort may have another scale
     bodies: tuple[float, float]  # of all together, by joints whose effort has none
     scales: Mapping[str, float]  # of efforts, taken
@@ -122,12 +123,12 @@ def _likelihood(
     """
     torques, losses, measured, strokes = [], [], [], 1
     for o, log, still in zip(observations, logs, gravity, strict=False):
-        rigid, sign = bodies_torques(o), np.sign(o.qd)
-        weight = interpolated(log.time, still, o.stamps)
-        loads = [np.abs(rigid[0]) * sign, np.abs(rigid[0] - weight) * sign]
-        columns = [sign, o.qd, *loads, o.qdd, np.ones_like(sign)]
+        rigid, weight = bodies_torques(o), interpolated(log.time, still, o.stamps)
+        sign, columns = np.sign(o.qd), torque_columns(rigid[0], o.qd, o.qdd)
+        # friction by a load that may lack gravity
+        columns = np.vstack([columns, np.abs(rigid[0] - weight) * sign])
         torques.append(o.filter.apply(np.vstack([rigid, -weight])))
-        losses.append(o.filter.apply(np.stack(columns)))
+        losses.append(o.filter.apply(columns))
         measured.append(o.measured)
         strokes += int(np.count_nonzero(np.diff(sign[o.filter.centres])))
     x, friction = np.concatenate(torques, axis=1).T, np.concatenate(losses, axis=1).T
@@ -135,11 +136,119 @@ def _likelihood(
     coefficients = np.linalg.lstsq(both, y, rcond=None)[0]
     residual = y - both @ coefficients
     variance = long_run_variance(residual, np.arange(y.size)) / max(y.size - both.shape[1], 1)
-    size = lacking * np.std(friction[:, :4] @ coefficients[:4])
+    losing = [1, 2, 3, 5]  # Coulomb, viscous, and those by the load
+    size = lacking * np.std(friction[:, losing] @ coefficients[losing])
     variance += float(size**2) * y.size / strokes
     basis = np.linalg.qr(friction)[0]
     x, y = x - basis @ (basis.T @ x), y - basis @ (basis.T @ y)
     return x.T @ x / variance, x.T @ y / variance
+
+
+def _information(
+    bodies: Bodies,
+    prior: InertialPrior,
+    logs: Sequence[ArmLog],
+    models: Mapping[str, Model],
+    directions: Mapping[str, Array],
+    lacking: float,
+) -> tuple[Array, Array]:
+    """Sum the likelihoods of joints, of z, a of each, and b: information and vector."""
+    count, order = len(prior.deviations), list(bodies.joints)
+    size, at_rest = count + len(models) + 1, []
+    for log in logs[: max((len(x.observations) for x in models.values()), default=0)]:
+        still, nominal = log.motion.copy(), prior.columns(loaded=log.loaded)[:, :1]
+        still[1:] = 0.0
+        at_rest.append(bodies.torques(still, np.repeat(nominal[None], len(order), axis=0))[:, 0])
+    information, vector = np.zeros((size, size)), np.zeros(size)
+    for j, (name, model) in enumerate(models.items(), start=count):
+        weights = [torques[order.index(name)] for torques in at_rest]
+        own, own_vector = _likelihood(model.observations, logs, weights, lacking)
+        to_own = np.zeros((len(own), size))
+        to_own[0, j], to_own[1:-1, :count], to_own[-1, -1] = 1.0, directions[name].T, 1.0
+        information += to_own.T @ own @ to_own
+        vector += to_own.T @ own_vector
+    return information, vector
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A likelihood ``exp(-x'J x/2 + h'x)`` of all coefficients, and the departures of a prior.
+
+    ``columns`` ``(n, k)`` are by kind and name the coefficients to which a departure adds variance;
+    the first ``known`` are standard normal without any. That of kind ``gravity`` is 1.
+    """
+
+    information: Array  # J, (n, n)
+    vector: Array  # h, (n,)
+    known: int
+    columns: Mapping[str, Mapping[str, Array]]
+
+    def _odds(self, kind: str) -> float:
+        return -math.log(len(self.columns) * max(len(self.columns[kind]), 1))
+
+    def posterior(self, taken: Sequence[Departure]) -> tuple[float, Array, Array]:
+        """Log of evidence and prior of departures; mean and covariance of the coefficients."""
+        size, log_prior = len(self.vector), sum(self._odds(kind) for kind, *_ in taken)
+        mean, parts = np.zeros(size), [np.eye(size)[:, : self.known]]
+        for kind, name, scale in taken:
+            if kind == "gravity":
+                mean += self.columns[kind][name][:, 0]
+            else:
+                parts.append(scale * self.columns[kind][name])
+                log_prior += float(_ODDS[scale == _SCALES][0])
+        root = np.hstack(parts)
+        precision = np.eye(root.shape[1]) + root.T @ self.information @ root
+        score = root.T @ (self.vector - self.information @ mean)
+        solution = np.linalg.solve(precision, score)
+        evidence = float(score @ solution - np.linalg.slogdet(precision)[1]) / 2.0
+        evidence += float(self.vector @ mean - mean @ self.information @ mean / 2.0)
+        covariance = root @ np.linalg.solve(precision, root.T)
+        return evidence + log_prior, mean + root @ solution, covariance
+
+    def added(self, taken: tuple[Departure, ...]) -> Iterator[tuple[float, Departure]]:
+        """Try each further departure at its likeliest scale: as :meth:`posterior`, and which."""
+        value, mean, covariance = self.posterior(taken)
+        score = self.vector - self.information @ mean
+        marginal = self.information - self.information @ covariance @ self.information
+        for kind, of_kind in self.columns.items():
+            for name, x in of_kind.items():
+                if any(departure[:2] == (kind, name) for departure in taken):
+                    continue
+                along, across = x.T @ score, x.T @ marginal @ x
+                gains: Array = along - across[0] / 2.0
+                scales: Array = np.ones(1)
+                if kind != "gravity":
+                    variances, axes = np.linalg.eigh(across)
+                    scales, scaled = _SCALES, _SCALES[:, None] ** 2
+                    shares = scaled * np.maximum(variances, 0.0)
+                    terms = scaled * (axes.T @ along) ** 2 / (1.0 + shares) - np.log1p(shares)
+                    gains = np.asarray(_ODDS + np.sum(terms, axis=1) / 2.0, dtype=np.float64)
+                best = int(np.argmax(gains))
+                gain, scale = float(gains[best]), float(scales[best])
+                yield value + self._odds(kind) + gain, Departure(kind, name, scale)
+
+    def likeliest(self) -> tuple[tuple[Departure, ...], tuple[Departure, ...]]:
+        """Add and drop departures until none is better; and the likeliest others of each kind.
+
+        Data favour these, too, in addition to those taken or in place of one.
+        """
+        taken, value = tuple[Departure, ...](), self.posterior(())[0]
+        while True:
+            rests = [tuple(x for x in taken if x is not each) for each in taken]
+            options = [(self.posterior(rest)[0], rest) for rest in rests]
+            options += [(v, (*taken, departure)) for v, departure in self.added(taken)]
+            best, option = max(options, key=lambda each: each[0])
+            if best <= value + 1e-9:
+                break
+            value, taken = best, option
+        alternatives = dict[str, Departure]()
+        for kind, rest in (("", taken), *zip([x.kind for x in taken], rests, strict=True)):
+            without = self.posterior(rest)[0]
+            for v, departure in sorted(self.added(rest)):
+                least = max(value + math.log(_LEAST), without + self._odds(departure.kind))
+                if v > least and departure.kind != kind:
+                    alternatives[departure.kind] = departure
+        return taken, tuple(alternatives.values())
 
 
 def find_departures(
@@ -153,26 +262,12 @@ def find_departures(
     lacking: float,
 ) -> Departures:
     """Choose departures; ``payload`` is whether there is known to be one."""
-    names, count, order = [*models], len(prior.deviations), list(bodies.joints)
-    at_rest = []
-    for log in logs[: max(len(model.observations) for model in models.values())] if models else ():
-        still, nominal = log.motion.copy(), prior.columns(loaded=log.loaded)[:, :1]
-        still[1:] = 0.0
-        at_rest.append(bodies.torques(still, np.repeat(nominal[None], len(order), axis=0))[:, 0])
-    size = count + len(names) + 1  # z, a of each joint, and b
-    information, vector = np.zeros((size, size)), np.zeros(size)
+    information, vector = _information(bodies, prior, logs, models, directions, lacking)
+    names, count = [*models], len(prior.deviations)
+    unit, of_links = np.eye(len(vector)), count - PER_BODY
     numbers = {name: j for j, name in enumerate(names, start=count)}
-    for name, j in numbers.items():
-        weights = [torques[order.index(name)] for torques in at_rest]
-        own, own_vector = _likelihood(models[name].observations, logs, weights, lacking)
-        to_own = np.zeros((len(own), size))
-        to_own[0, j], to_own[1:-1, :count], to_own[-1, -1] = 1.0, directions[name].T, 1.0
-        information += to_own.T @ own @ to_own
-        vector += to_own.T @ own_vector
-    unit, of_links = np.eye(size), count - PER_BODY
     efforts = {name: unit[:, [j]] for name, j in numbers.items() if not models[name].chain.gain}
     all_efforts = unit[:, count:-1].sum(axis=1, keepdims=True)
-    # of each kind the coefficients of its departures, (size, k) by name
     columns: dict[str, dict[str, Array]] = {
         "efforts": {"": all_efforts} if len(efforts) == len(names) else {},
         "effort": efforts if len(names) > 1 else {},
@@ -181,92 +276,38 @@ def find_departures(
         "bodies": {"": unit[:, :of_links]},
         "body": {prior.deviations[k][0]: unit[:, [k]] for k in range(1, of_links)},
     }
-    odds = {kind: -math.log(len(columns) * max(len(x), 1)) for kind, x in columns.items()}
+    evidence = Evidence(information, vector, count if payload else of_links, columns)
+    taken, alternatives = evidence.likeliest()
+    _, mean, covariance = evidence.posterior(taken)
 
-    def posterior(taken: Sequence[Departure]) -> tuple[float, Array, Array]:
-        """Log of evidence and prior; mean and covariance of z, a and b."""
-        mean, wide = np.zeros(size), [unit[:, : count if payload else of_links]]
-        log_prior = sum(odds[kind] for kind, *_ in taken)
-        for kind, name, scale in taken:
-            if kind == "gravity":
-                mean[-1] = 1.0
-            else:
-                wide.append(scale * columns[kind][name])
-                log_prior += float(_ODDS[scale == _SCALES][0])
-        every = np.hstack(wide)
-        precision = np.eye(every.shape[1]) + every.T @ information @ every
-        score = every.T @ (vector - information @ mean)
-        solution = np.linalg.solve(precision, score)
-        evidence = float(score @ solution - np.linalg.slogdet(precision)[1]) / 2.0
-        evidence += float(vector @ mean - mean @ information @ mean / 2.0)
-        covariance = every @ np.linalg.solve(precision, every.T)
-        return evidence + log_prior, mean + every @ solution, covariance
-
-    def added(taken: tuple[Departure, ...]) -> Iterator[tuple[float, Departure]]:
-        """Try each further departure at its likeliest scale."""
-        value, mean, covariance = posterior(taken)
-        score = vector - information @ mean
-        marginal = information - information @ covariance @ information
-        for kind, name, x in (
-            (k, n, x) for k, of_kind in columns.items() for n, x in of_kind.items()
-        ):
-            if any(departure[:2] == (kind, name) for departure in taken):
-                continue
-            if kind == "gravity":
-                gain, scale = float(score[-1] - marginal[-1, -1] / 2.0), 1.0
-            else:
-                variances, axes = np.linalg.eigh(x.T @ marginal @ x)
-                shares = _SCALES[:, None] ** 2 * np.maximum(variances, 0.0)
-                scores = _SCALES[:, None] * (axes.T @ (x.T @ score))
-                gains = _ODDS + np.sum(scores**2 / (1.0 + shares) - np.log1p(shares), axis=1) / 2.0
-                gain, scale = float(gains.max()), float(_SCALES[np.argmax(gains)])
-            yield value + odds[kind] + gain, Departure(kind, name, scale)
-
-    taken, value = tuple[Departure, ...](), posterior(())[0]
-    while True:
-        best, departure = max(added(taken))
-        rests = [tuple(x for x in taken if x is not each) for each in taken]
-        less, fewer = max(((posterior(rest)[0], rest) for rest in rests), default=(-math.inf, ()))
-        if max(best, less) <= value + 1e-9:
-            break
-        value, taken = (best, (*taken, departure)) if best > less else (less, fewer)
-    alternatives = dict[str, Departure]()  # the likeliest of each kind
-    for rest in rests:
-        least = max(value + math.log(UNLIKELY), posterior(rest)[0])
-        others = sorted(option for option in added(rest) if option[0] > least)
-        kinds = {departure.kind for departure in taken if departure not in rest}
-        alternatives |= {each.kind: each for _, each in others if each.kind not in kinds}
-    _, mean, covariance = posterior(taken)
-
-    def factor(at: Sequence[int], *, scaled: bool) -> tuple[float, float]:
+    def factor(at: Sequence[int], *, of_efforts: bool) -> tuple[float, float]:
         """Factor of the torque of the bodies at some joints, and its sd."""
         row = information[at].sum(axis=0) / max(information[at, at].sum(), 1e-300)
-        row[-1], row[count:-1] = 0.0, row[count:-1] * scaled
+        row[-1], row[count:-1] = 0.0, row[count:-1] * of_efforts
         return float(1.0 + row @ mean), math.sqrt(max(float(row @ covariance @ row), 0.0))
 
-    def of_kinds(*kinds: str, options: Iterable[Departure] = taken) -> list[Departure]:
-        return [departure for departure in options if departure.kind in kinds]
+    def scaled(departures: Sequence[Departure]) -> list[str]:
+        """Names of the joints whose effort they scale."""
+        return [
+            n for n in names if any(x[:2] in (("effort", n), ("efforts", "")) for x in departures)
+        ]
 
-    alone = {each.name for each in of_kinds("effort")}
+    alone = [each.name for each in taken if each.kind == "effort"]
     together = [j for name, j in numbers.items() if name not in alone]
-    every = (*taken, *alternatives.values())
-    doubtful = {each.name for each in of_kinds("effort", options=every)}
-    doubtful |= {*names} if of_kinds("efforts", options=every) else set()
-    undone = {*names} if of_kinds("efforts") else alone
     variances = np.ones(count)
-    for kind, name, scale in of_kinds("bodies", "body"):
-        variances += scale**2 * columns[kind][name][:count].sum(axis=1)
+    for kind, name, scale in taken:
+        if kind in ("bodies", "body"):
+            variances += scale**2 * columns[kind][name][:count].sum(axis=1)
     return Departures(
         taken,
-        tuple(alternatives.values()),
+        alternatives,
         {
-            name: factor([j] if name in alone else together, scaled=True)
-            for name, j in numbers.items()
-            if name in doubtful
+            name: factor([numbers[name]] if name in alone else together, of_efforts=True)
+            for name in scaled((*taken, *alternatives))
         },
-        factor(together, scaled=False) if together else (1.0, 0.0),
-        {name: float(1.0 + mean[j]) for name, j in numbers.items() if name in undone},
-        (0.0, 0.0, 0.0) if of_kinds("gravity") else bodies.gravity,
+        factor(together, of_efforts=False) if together else (1.0, 0.0),
+        {name: float(1.0 + mean[numbers[name]]) for name in scaled(taken)},
+        (0.0, 0.0, 0.0) if Departure("gravity") in taken else bodies.gravity,
         np.sqrt(variances),
     )
 
@@ -334,25 +375,15 @@ def combined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
 # -- joints whose motor turns with another joint, too, as in many wrists
 
 
-@dataclass(frozen=True)
-class Coupled:
-    """A motor that turns with another joint: ratio, and residual rms without and with that."""
-
-    other: str
-    ratio: float
-    before: float
-    after: float
-
-
 def coupled_joint(
     o: Signals, log: ArmLog, joints: Sequence[str], name: str, torques: Array
-) -> Coupled | None:
+) -> tuple[str, float, float, float] | None:
     """Find the joint whose motion a joint's effort follows in addition to its own, if any does.
 
-    Friction and rotor inertia of such a motor follow ``q_i + s q_j``: with that speed the model has
-    the ratio ``s`` in addition. ``torques`` ``(k, n)`` are the nominal rigid-body torque and its
-    deviations along the log. By the Bayesian information criterion of as many independent outputs
-    as the residual has, ratios and joints equally likely.
+    Returns its name, the ratio ``s``, and the rms residual without and with it: friction and rotor
+    inertia of such a motor follow ``q_i + s q_j``. ``torques`` ``(k, n)`` are the nominal
+    rigid-body torque and its deviations along the log. By the Bayesian information criterion of as
+    many independent outputs as the residual has, ratios and joints equally likely.
     """
     o, index = o.excerpt(), [*joints].index(name)
     load = interpolated(log.time, torques, o.stamps)
@@ -381,14 +412,4 @@ def coupled_joint(
     evidence = 2.0 * independent * math.log(before / max(after, 1e-12 * before))
     if evidence < math.log(count) + 2.0 * math.log(len(_RATIOS) * len(moving)) + _STRONG:
         return None
-    return Coupled(joints[other], float(ratio), before, after)
-
-
-def coupling_remark(name: str, coupled: Coupled, unit: str) -> str:
-    """Say how to couple two joints."""
-    other, ratio = coupled.other, coupled.ratio
-    return (
-        f"its effort is that of a motor that turns with {other}, too ({coupled.before:.3g} to "
-        f'{coupled.after:.3g} {unit} rms): [coupling] joints = ["{other}", "{name}"], '
-        f"matrix = [[1, 0], [{ratio:.2g}, 1]]"
-    )
+    return joints[other], float(ratio), before, after

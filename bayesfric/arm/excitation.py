@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 from scipy.optimize import brentq, minimize
 
-from bayesfric.arm.arm_options import NUMBERS
+from bayesfric.arm.arm_options import NUMBERS, torque_columns
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior
 from bayesfric.base.errors import BadInput, nearest
@@ -380,9 +380,8 @@ class _Search:
         motion[0] += centre[:, None]
         torque = self._bodies.torques(motion, self._parameters[:, :, :count])
         urdf, (_, qd, qdd) = torque[:, 0], motion
-        sign = np.sign(qd)
-        friction = np.stack([qdd, sign, qd, np.abs(urdf) * sign, np.ones_like(qd)], axis=1)
+        friction = np.swapaxes(torque_columns(urdf, qd, qdd), 0, 1)
         effort = urdf + np.einsum("jt,jtn->jn", self._values, friction)
-        gain = 1.0 + self._values[:, _KEYS.index("load"), None] * np.sign(urdf) * sign
+        gain = 1.0 + self._values[:, _KEYS.index("load"), None] * np.sign(urdf) * np.sign(qd)
         columns = np.concatenate([gain[:, None] * torque[:, 1:], friction], axis=1)
         return motion, effort, columns

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import NUMBERS, Repeatability
+from bayesfric.arm.arm_options import NUMBERS, Repeatability, torque_columns
 from bayesfric.arm.departures import ArmDelay, Departures
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint, base_parameters
 from bayesfric.arm.joint_consistency import (
@@ -118,10 +118,9 @@ class FittedJoint:
         losses = [name.startswith("motor.") or name == "offset" for name in fit.chain.names]
         values = np.stack([law_values, np.where(losses, 0.0, law_values)])
         for o in self.fitted.model.observations:
-            motion, sign = (o.q, o.qd, o.qdd), np.sign(o.qd)
+            motion = o.q, o.qd, o.qdd
             law, rigid = inverse_torque(fit.chain, values, *motion, inputs=o.inputs, time=o.stamps)
-            columns = {"armature": o.qdd, "coulomb": sign, "viscous": o.qd}
-            columns |= {"load": gain * np.abs(rigid) * sign, "offset": np.ones_like(sign)}
+            columns = dict(zip(NUMBERS, torque_columns(gain * rigid, o.qd, o.qdd), strict=False))
             parts.append((law, rigid, *(columns[key] / gain for key in keys)))
         law, rigid, *by_key = np.concatenate(parts, axis=1)
         a = np.array(by_key).T
@@ -192,7 +191,8 @@ class FittedJoint:
         """Predict the held-out logs.
 
         About the mean of a posterior, bands have the model discrepancy, and allow friction and
-        efforts to differ as far as ``repeatability`` says.
+        efforts to differ as far as ``repeatability`` says: those in equal parts by their gain and,
+        as other poses change them, by a constant of their rms.
         """
         fit, held_out = self.fitted.fit, self.fitted.model.held_out
         wide = posterior if self.by_all else fit.wide.posterior
@@ -208,9 +208,9 @@ class FittedJoint:
             predict_held_out(fit.target, _with_draws(wide, draws), held_out),
             strict=True,
         ):
-            n = len(band.torque)
-            change = rng.permutation(quantiles)[:n, None] * self.repeatability.effort
-            torque = band.torque * (1.0 + change)
+            n, size = len(band.torque), self.repeatability.effort / math.sqrt(2.0)
+            gain, pose = (size * rng.permutation(quantiles)[:n, None] for _ in range(2))
+            torque = band.torque * (1.0 + gain) + pose * rms(centre.mean)
             torque += centre.mean - torque.mean(axis=0)
             predictions.append(replace(band, torque=torque))
         return tuple(predictions)

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from bayesfric.arm.arm_options import Coupling, Payload, Uncertainty, Vector
+from bayesfric.arm.arm_options import Coupling, Payload, Uncertainty, Vector, torque_columns
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.safe_read import read_text
 from bayesfric.estimates.autoregression import long_run_variance
@@ -69,7 +69,6 @@ class InertialPrior:
     deviations: Sequence[tuple[str, float, str]]
     feasible: Array  # (n_deviations,) a z of which the payload is a physical body
     payload: Array  # (10 n_links,) part of the nominal, as the last deviations are
-    links: Sequence[str]  # of each deviation; empty for all, and for the payload
     widths: Array | float = 1.0  # (n_deviations,) factors on the standard deviations as stated
 
     def widened(self, widths: Array) -> InertialPrior:
@@ -183,8 +182,6 @@ class Bodies:
             [row[:3] for row in rows],
             feasible,
             known_payload.ravel(),
-            [self.links[row[3]] if isinstance(row[3], int) else "" for row in rows[:-PER_BODY]]
-            + [""] * PER_BODY,
         )
 
     def torques(self, motion: Array, parameters: Array) -> Array:
@@ -256,9 +253,7 @@ def resolution(torque: Array, speed: Array, acceleration: Array, columns: Array)
     It is that of the autocorrelated residual (Andrews 1991) of least squares on friction and
     ``columns`` ``(k, n)``, the rigid-body torque first.
     """
-    sign = np.sign(speed)
-    losses = [sign, speed, np.abs(columns[0]) * sign, acceleration, np.ones_like(speed)]
-    x = np.stack([*columns, *losses], axis=1)
+    x = np.vstack([columns, torque_columns(columns[0], speed, acceleration)]).T
     residual = torque - x @ np.linalg.lstsq(x, torque, rcond=None)[0]
     variance = long_run_variance(residual, np.arange(residual.size))
     return float(math.sqrt(variance) / residual.size)

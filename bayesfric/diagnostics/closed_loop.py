@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.signal import lfilter
 
 from bayesfric.diagnostics.candidates import columns_along
 from bayesfric.diagnostics.explanation import Explanation, finding_of
-from bayesfric.diagnostics.motion import MotionSignals, scales_of
+from bayesfric.diagnostics.motion import MotionSignals, Scales, scales_of
 from bayesfric.diagnostics.regression import (
     Regression,
     StoredColumns,
@@ -50,75 +51,54 @@ from bayesfric.recordings.signals import Signals
 
 # Simulated recordings for the calibration check.
 _REPLICATES = 8
-# Torque of a candidate, as a share of the largest, by which its effect is differentiated.
-_SMALL = 1e-2
+# Steps of derivatives: share of a parameter, and of the largest torque for a candidate.
+_STEP, _SMALL = 1e-4, 1e-2
 
 
 def explain_closed_loop(target: Target, parameters: Array, seed: int) -> Explanation:
     """Find what else explains the motion, at sampled parameters ``(d,)``."""
-    begun, likelihood = time.process_time(), target.likelihood
+    begun, likelihood, count = time.process_time(), target.likelihood, len(target.free)
     assert isinstance(likelihood, ClosedLoopLikelihood)
     chain, observations = likelihood.chain, likelihood.observations
     values = target.chain_values(parameters[None])[0]
-    noise = target.noise.scales(parameters[None, len(target.free) :])
-    size, known = np.maximum(np.abs(values), 1e-12), set(chain.names) - set(target.free)
+    noise = target.noise.scales(parameters[None, count:])
     free = np.array([name in target.free for name in chain.names])
-    steps = np.diag(1e-4 * size)[free]
-    errors, sds, base = _linearised(likelihood, values, noise, free)
-    scales, blocks, keys = scales_of(chain, values, observations), [], list[Key]()
-    torques = []
-    for r in range(len(observations)):
-        motion = MotionSignals(chain, values, *_played(likelihood, values, r), scales)
-        keys, columns = map(list, zip(*columns_along(motion), strict=True))
-        played, at = motion.o, (motion.o.q, motion.o.qd, motion.o.qdd)
-        terms = inverse_torque(chain, values + steps, *at, inputs=played.inputs, time=played.stamps)
-        terms -= inverse_torque(chain, values, *at, inputs=played.inputs, time=played.stamps)
-        torques.append(np.nan_to_num(np.array(columns)).T)
-        z = np.nan_to_num(np.concatenate([np.array(columns), terms / steps.sum(axis=1)[:, None]]))
-        unit = _SMALL * scales.torque / np.maximum(np.abs(z).max(axis=1), 1e-300)
-        pushes: list[Array | None] = [None] * len(observations)
-        pushes[r] = -z * unit[:, None]
-        pushed, _ = likelihood.errors(np.tile(values, (len(z), 1)), noise, pushes)[r]
-        blocks.append(-((pushed - errors[r]) / sds[r]).T / unit * z.any(axis=1))
-    outputs = likelihood.outputs
-    layout = Layout(
-        tuple(o.follows for o in outputs),
-        tuple(np.round((o.time - o.time[0]) / o.period).astype(np.int64) for o in outputs),
-        tuple(o.time for o in outputs),
-    )
-    others, terms = np.split(np.concatenate(blocks), [len(keys)], axis=1)
-    full = others
+    steps = _STEP * np.maximum(np.abs(values), 1e-12)
+    prior_sds = np.array([prior.sd() for prior in target.priors[:count]])
+    # of a value near zero the prior says what is small
+    steps[free] = np.maximum(steps[free], 0.1 * _STEP * np.nan_to_num(prior_sds, posinf=0.0))
+    scales = scales_of(chain, values, observations)
+    base, left = _linearised(likelihood, values, noise, steps, free)
+    keys, torques, full, terms = _effects(likelihood, values, noise, steps, free, scales)
     others = project_out(basis_of(terms), full)
     others *= np.linalg.norm(others, axis=0) > TESTABLE * np.linalg.norm(full, axis=0)
-    left = np.concatenate(errors) / np.concatenate(sds)
+    layout = Layout(
+        tuple(o.follows for o in likelihood.outputs),
+        tuple(np.round((o.time - o.time[0]) / o.period).astype(int) for o in likelihood.outputs),
+        tuple(o.time for o in likelihood.outputs),
+    )
     data = Columns(base, others, left, layout, tuple(keys))
     right = StoredColumns(replace(data, residual=np.zeros_like(left)) for _ in range(REPLICATES))
-    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
-    vectors = draw_parameters(chain, values, data, _REPLICATES, random)
-    replicates = [
-        (vector, replace(data, base=rows, residual=np.concatenate(errors) / np.concatenate(sds)))
-        for vector in vectors
-        for errors, sds, rows in [
-            _linearised(_simulated(likelihood, vector, noise[0], random), vector, noise, free)
-        ]
-        if np.isfinite(rows).all()
-    ]
-    gradients = {
-        name: gradient
-        for name, gradient in reported_gradients(chain, values, observations).items()
-        if name not in known and np.isfinite(gradient).all()
-    }
+    gradients = reported_gradients(chain, values, observations)
+    fixed = set(chain.names) - set(target.free)
     regression = Regression(
         data,
         right,
         scales,
-        size,
-        gradients,
+        np.maximum(np.abs(values), 1e-12),
+        {n: x for n, x in gradients.items() if n not in fixed and np.isfinite(x).all()},
         np.random.SeedSequence(seed),
-        torques=np.concatenate(torques),
+        torques=torques,
         effects_on_outputs=full,
     )
     effects = regression.effects()
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    replicates = []
+    for vector in draw_parameters(chain, values, data, _REPLICATES, random):
+        simulated = _simulated(likelihood, vector, noise[0], random)
+        base, left = _linearised(simulated, vector, noise, steps, free)
+        if np.isfinite(base).all():
+            replicates.append((vector, replace(data, base=base, residual=left)))
     return Explanation(
         tuple(finding_of(chain, effect) for effect in effects if effect.significant),
         regression.kinds,
@@ -132,20 +112,50 @@ def explain_closed_loop(target: Target, parameters: Array, seed: int) -> Explana
 
 
 def _linearised(
-    likelihood: ClosedLoopLikelihood, values: Array, noise: Array, free: Flags
-) -> tuple[list[Array], list[Array], Array]:
-    """Return prediction errors ``(M,)`` and sds of each recording, and derivatives ``(M, d)``.
+    likelihood: ClosedLoopLikelihood, values: Array, noise: Array, steps: Array, free: Flags
+) -> tuple[Array, Array]:
+    """Return derivatives ``(M, d)`` of predictions by free parameters, and errors ``(M,)``.
 
-    The latter are those of predictions over their sds, by the ``free`` parameters.
+    Both are over the sds of the predictions.
     """
-    steps = np.diag(1e-4 * np.maximum(np.abs(values), 1e-12))[free]
-    every = likelihood.errors(np.concatenate([values[None], values + steps]), noise)
-    errors, sds = [e[0] for e, _ in every], [np.sqrt(s[0]) for _, s in every]
-    base = np.zeros((sum(e.size for e in errors), values.size))
-    base[:, free] = np.concatenate(
-        [-(e[1:] - e[0]).T / sd[:, None] for (e, _), sd in zip(every, sds, strict=True)]
-    ) / steps.sum(axis=1)
-    return errors, sds, base
+    every = likelihood.errors(values + np.vstack([0.0 * values, np.diag(steps)[free]]), noise)
+    errors = np.concatenate([e / np.sqrt(s[0]) for e, s in every], axis=1)
+    base = np.zeros((errors.shape[1], values.size))
+    base[:, free] = -(errors[1:] - errors[0]).T / steps[free]
+    return base, errors[0]
+
+
+def _effects(
+    likelihood: ClosedLoopLikelihood,
+    values: Array,
+    noise: Array,
+    steps: Array,
+    free: Flags,
+    scales: Scales,
+) -> tuple[list[Key], Array, Array, Array]:
+    """Return keys and torques ``(N, m)`` of all candidates, and what these do to predictions.
+
+    The latter ``(M, m)``, and that of the model's own terms ``(M, k)``, are over the sds.
+    """
+    chain, blocks, torques, keys = likelihood.chain, list[Array](), list[Array](), list[Key]()
+    still = likelihood.errors(values[None], noise)
+    for r in range(len(likelihood.observations)):
+        motion = MotionSignals(chain, values, *_played(likelihood, values, r), scales)
+        keys, columns = map(list, zip(*columns_along(motion), strict=True))
+        played, at = motion.o, (motion.o.q, motion.o.qd, motion.o.qdd)
+        torque = partial(inverse_torque, chain, inputs=played.inputs, time=played.stamps)
+        terms = torque(values + np.diag(steps)[free], *at) - torque(values, *at)
+        terms /= steps[free][:, None]
+        z = np.nan_to_num(np.concatenate([np.array(columns), terms]))
+        torques.append(z[: len(keys)].T)
+        unit = _SMALL * scales.torque / np.maximum(np.abs(z).max(axis=1), 1e-300)
+        pushes: list[Array | None] = [None] * len(likelihood.observations)
+        pushes[r] = -z * unit[:, None]
+        pushed, _ = likelihood.errors(np.tile(values, (len(z), 1)), noise, pushes)[r]
+        error, variance = still[r]
+        blocks.append(-((pushed - error[0]) / np.sqrt(variance[0])).T / unit * z.any(axis=1))
+    effects, own = np.split(np.concatenate(blocks), [len(keys)], axis=1)
+    return keys, np.concatenate(torques), effects, own
 
 
 def _simulated(

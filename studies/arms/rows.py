@@ -29,7 +29,7 @@ TYPICAL = {  # of pan, shoulder and elbow; times 0.5 to 1.5
     "motor.viscous": (3.0, 4.0, 1.5),
     "motor.load": (0.1, 0.1, 0.1),
 }
-NOISE, SECONDS, LATE, GAINS, PAYLOAD, SCALE = 0.3, 20.0, 0.008, 0.1, 2.0, 1.4
+NOISE, SECONDS, LATE, GAINS, PAYLOAD, SCALE = 0.3, 12.0, 0.008, 0.1, 2.0, 1.4
 FIRST = 7001  # seed
 # Rate in Hz, jitter of stamps over the period, encoder step in rad.
 TIMINGS = (
@@ -228,13 +228,13 @@ def main() -> None:
     parser.add_argument("--fits", type=int, default=10)
     parser.add_argument("--rows", nargs="*", default=[*ROWS], choices=[*ROWS])
     options, path = parser.parse_args(), FOLDER / "rows.json"
-    result = json.loads(path.read_text()) if path.exists() else {"rows": {}, "arms": {}}
     for name in options.rows:
         records = []
         for k in range(options.arms if set(ROWS[name]) != {"fit"} else options.fits):
             with tempfile.TemporaryDirectory() as folder:
                 sampled = ROWS[name].get("fit", False) and k < options.fits
                 records.append(one_arm(Path(folder), ROWS[name], FIRST + k, fit=sampled))
+        result = json.loads(path.read_text()) if path.exists() else {"rows": {}, "arms": {}}
         result["arms"][name], result["rows"][name] = records, summarised(name, records)
         print(json.dumps({name: result["rows"][name]}), flush=True)
         path.write_text(f"{json.dumps(result, indent=1, ensure_ascii=False)}\n", encoding="utf-8")

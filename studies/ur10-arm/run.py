@@ -1,6 +1,6 @@
-"""Fit six joints of a MEASURED UR10 on one motion and predict their torque on another.
+"""Fit six joints of a MEASURED UR10 on each of two motions and predict their torque on the other.
 
-``python studies/ur10-arm/run.py`` reads ``../shared/data/ur10-arm``, takes about a minute of CPU
+``python studies/ur10-arm/run.py`` reads ``../shared/data/ur10-arm``, takes some minutes of CPU
 time and writes ``result.json``.
 """
 
@@ -127,20 +127,6 @@ def on_base_parameters(fitted: FittedArm) -> dict[str, dict[str, dict[str, float
     return result
 
 
-def by_one_joint() -> dict[str, dict[str, list[float]]]:
-    """Estimate the payload from each joint separately: value and sd, kg and kg m."""
-    estimates, joints = {}, list(bf.Arm(DATA / "ur10.urdf").bodies.joints)
-    for name in joints:
-        joint_options = {joint: {"fit": joint == name} for joint in joints}
-        joint_fit = bf.Arm(DATA / "ur10.urdf", {"joints": joint_options}).fit(LOG, seed=SEED)
-        estimates[name] = {
-            cause["name"]: [cause["value"], cause["sd"]]
-            for cause in joint_fit.inertial_estimate["causes"]
-            if cause["name"].startswith(("payload", "moment"))
-        }
-    return estimates
-
-
 def correlations(fitted: FittedArm) -> list[list[float]]:
     """Correlate innovations between joints, at outputs that both have."""
     innovations = []
@@ -168,14 +154,15 @@ def quality(prediction: Prediction) -> dict[str, float]:
     }
 
 
-def compared(folder: Path, joints: list[str] | None = None) -> tuple[dict[str, dict], FittedArm]:
-    """Fit the arm and predict the other motion by all methods."""
-    validation_log(folder / "validation.csv")
+def compared(
+    fitted_log: Path, predicted_log: Path, joints: list[str] | None = None
+) -> tuple[dict[str, dict], FittedArm]:
+    """Fit the arm, or some joints, on a motion and predict the other by all methods."""
     arm = bf.Arm(DATA / "ur10.urdf")
     if joints:
         joint_options = {name: {"fit": name in joints} for name in arm.bodies.joints}
         arm = bf.Arm(DATA / "ur10.urdf", {"joints": joint_options})
-    fitted = arm.fit(LOG, predict=folder / "validation.csv", seed=SEED)
+    fitted = arm.fit(fitted_log, predict=predicted_log, seed=SEED)
     outcomes = {}
     for name, joint_fit in fitted.joints.items():
         record = joint_fit.as_json()
@@ -183,38 +170,40 @@ def compared(folder: Path, joints: list[str] | None = None) -> tuple[dict[str, d
         fit = joint_fit.result.fit
         wide = predict_held_out(fit.target, fit.wide.posterior, joint_fit.result.model.held_out)
         outcomes[name] = {
-            "arm": quality(fit.held_out[0]),
-            "arm, together": {
+            "separate": quality(fit.held_out[0]),
+            "joint": {
                 "rms": part["residual_rms"],
                 "sd": part["predictive_sd"],
                 "coverage": part["coverage"]["0.9"]["share"],
             },
-            "arm, with room for the model's error": quality(wide[0]),
+            "without repeatability": quality(wide[0]),
             "least squares": least_squares(joint_fit),
             **record,
         }
+    if not joints:
+        for name, record in on_base_parameters(fitted).items():
+            outcomes[name] |= record
     print("\n".join(fitted.text()), file=sys.stderr)
     return outcomes, fitted
 
 
 def main() -> None:
     """Fit, predict, simulate, and write ``result.json``."""
-    timer = Timer()
+    result: dict = {"seed": SEED}
     with tempfile.TemporaryDirectory() as folder:
-        joints, fitted = compared(Path(folder))
-    seconds = round(timer.cpu_seconds, 1)
-    played = rollout(fitted, seconds=0.5, seed=SEED)
-    for name, record in on_base_parameters(fitted).items():
-        joints[name] |= record
+        other = Path(folder) / "validation.csv"
+        validation_log(other)
+        timer = Timer()
+        joints, fitted = compared(LOG, other)
+        result["cpu_seconds"] = round(timer.cpu_seconds, 1)
+        result["backwards"], backwards = compared(other, LOG)
+        played = rollout(fitted, seconds=0.5, seed=SEED)
+        result["bodies_backwards"] = backwards.as_json()["bodies"]
     for k, record in enumerate(joints.values()):
         gain = DRIVE_GAINS[k]
         record["published"] = {key: round(gain * x[k], 3) for key, x in PUBLISHED.items()}
-    bodies = fitted.as_json()["bodies"]
-    result = {
-        "seed": SEED,
-        "cpu_seconds": seconds,
-        "bodies": bodies,
-        "bolted_on_by_one_joint": by_one_joint(),
+    result |= {
+        "bodies": fitted.as_json()["bodies"],
         "correlations": correlations(fitted),
         "roll_out": {
             "seconds": played.seconds,

@@ -1,8 +1,11 @@
 """Departures from a right URDF and log that all joints show, in simulated arms."""
 
+import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from bayesfric.arm.arm import Arm
+from bayesfric.arm.departures import Departure, Evidence
 
 from . import bench
 from .bench import ELBOW, GRAVITY, SHOULDER
@@ -61,3 +64,35 @@ def test_bodies_that_are_all_heavier(tmp_path):
     value, sd = factors.bodies
     assert not factors.joints
     assert abs(value - 1.25) < 3.0 * sd < 0.25
+
+
+def test_evidence_of_departures_is_that_of_their_marginal_densities():
+    """Of 12 data that are linear in coefficients: closed form, and equal step by step."""
+    rng, unit = np.random.default_rng(1), np.eye(5)
+    x, sd = rng.normal(size=(12, 5)), 0.3
+    y = x @ [0.5, -3.0, 1.0, 0.2, 1.0] + sd * rng.normal(size=12)
+    columns = {
+        "body": {"a": unit[:, [0]], "b": unit[:, [1]]},
+        "bodies": {"": unit[:, :3]},
+        "gravity": {"": unit[:, -1:]},
+    }
+    evidence = Evidence(x.T @ x / sd**2, x.T @ y / sd**2, 3, columns)
+
+    def density(taken):
+        covariance, mean, prior = np.diag([1.0, 1.0, 1.0, 0.0, 0.0]), np.zeros(5), 0.0
+        for kind, name, scale in taken:
+            prior -= np.log(3 * len(columns[kind]))
+            if kind == "gravity":
+                mean[-1] = 1.0
+            else:
+                covariance += scale**2 * columns[kind][name] @ columns[kind][name].T
+                prior += np.log(2.0 * scale / (1.0 + scale**2))
+        of_data = x @ covariance @ x.T + sd**2 * np.eye(12)
+        return multivariate_normal.logpdf(y, x @ mean, of_data) + prior
+
+    for taken in ((), (Departure("gravity"),), (Departure("body", "b", 4.0),)):
+        for value, departure in evidence.added(taken):
+            option = (*taken, departure)
+            assert value == pytest.approx(evidence.posterior(option)[0])
+            gain = value - evidence.posterior(())[0]
+            assert gain == pytest.approx(density(option) - density(()))

@@ -133,3 +133,39 @@ def test_a_held_target_is_late_by_a_fraction_of_a_sample(samples):
     wanted = late_loop(0.0, steps, period / fine, True, PLAIN)[::fine]
     found = late_loop(samples * period, command, period, True)
     np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(("smoothness", "passage"), [(0.0, "line"), (0.5, "held"), (1.0, "curve")])
+def test_how_a_target_passes_between_samples(smoothness, passage):
+    """The smoothness of a sampled target moves the joint as one sampled a hundred times as fast.
+
+    A held target is half a sample late, and attenuated by half as much as a line. What is left of
+    it is its sawtooth about that, of the height of a step, at the sampling rate.
+    """
+    period, factor, n, kp, inertia = 0.02, 100, 300, 20.0, 0.02
+    time = period / factor * np.arange(n * factor)
+    curve = np.sin(2.0 * np.pi * 3.0 * time) + 0.5 * np.sin(2.0 * np.pi * 1.1 * time)
+    target = curve[::factor]
+    line = np.interp(time, time[::factor], target)
+    passages = {"line": line, "held": np.repeat(target, factor), "curve": curve}
+    values = {"motor.inertia": inertia, "motor.viscous": 0.3}
+    start = np.zeros(1), np.zeros(1)
+
+    def moved(target):
+        law = Law(kp * target, np.ones(target.size), kp, 0.1)
+        rows, pieces = PLAIN.vector(values)[None], [(0, target.size)]
+        return follow(PLAIN, rows, law, period / factor, pieces, *start)[0][0, ::factor]
+
+    wanted = moved(passages[passage])
+    joint = replace(PLAIN, by_target=True, delay=True, smoothness=True)
+    late = {"target.delay": 0.5 * period if passage == "held" else 0.0}
+    vector = joint.vector(values | late | {"target.smoothness": smoothness})
+    law = Law(kp * target, np.ones(n), kp, 0.1, held=None)
+    q, _ = follow(joint, vector[None], law, period, [(0, n)], *start)
+    settled = slice(n // 3, n - 5)  # a spline ends as a line, and all begin at rest
+    error = np.abs(q[0] - wanted)[settled].max()
+    if passage == "held":
+        sawtooth = np.abs(np.diff(target)).max() / np.pi
+        assert error < 2.0 * sawtooth * kp / (inertia * (2.0 * np.pi / period) ** 2)
+    else:
+        assert error < 0.02 * np.abs(moved(line) - moved(curve))[settled].max()
