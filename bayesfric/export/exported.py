@@ -194,8 +194,9 @@ def export_to(
         "speed": float(np.abs(speed).max()),
         "position": [float(position.min()), float(position.max())],
     }  # fmt: skip
-    record["notes"] = _lines("notes.txt.j2", content)
-    content["remarks"] = [_harmless(line) for line in _lines("remarks.txt.j2", record)]
+    record["notes"] = filled("notes.txt.j2", **content).splitlines()
+    remarks = filled("remarks.txt.j2", **record).splitlines()
+    content["remarks"] = [_harmless(line) for line in remarks]
     files = {
         file.format(stem=content["stem"]): filled(template, **content)
         for file, template in {**form.files, **(law_files if written else {})}.items()
@@ -305,13 +306,14 @@ def in_program(
     row: dict[str, Any] = {"program": program.name, "version": program.version}
     row |= {"refuses": refused, "at_joint": "gain" in factors, "changed": []}
     read = {name: factor * numbers[name] for name, factor in factors.items()}
-    read |= {name: x + numbers[name] for name, x in program.adds.items() if not numbers[name].any()}
+    adds = {name: x for name, x in program.adds.items() if not numbers[name].any()}
+    read |= {name: numbers[name] + x for name, x in adds.items()}
     read = {name: x for name, x in read.items() if name not in ("gain", "torque_offset")}
     if read and not refused:
         written = simulated_torque(joint, numbers, motions)
         for name, x in read.items():
             change = {"number": name, "stored": name in program.stored}
-            change |= {"factor": factors.get(name, 1.0), "adds": float(x[0] - numbers[name][0])}
+            change |= {"factor": factors.get(name, 1.0), "adds": adds.get(name, 0.0)}
             torque = rms(written - simulated_torque(joint, numbers | {name: x}, motions))
             row["changed"].append({**change, "torque": torque})
         law_torque = torque_along(joint, point, motions)
@@ -323,7 +325,3 @@ def _harmless(remark: str) -> str:
     """Keep a remark, which may hold names of folders and recordings, from ending a comment."""
     printable = "".join(c for c in remark if c.isprintable())
     return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
-
-
-def _lines(template: str, values: Mapping[str, Any]) -> list[str]:
-    return [line for line in filled(template, **values).splitlines() if line]

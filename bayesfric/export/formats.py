@@ -32,14 +32,6 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Quantity
 from bayesfric.recordings.arrays import Array
 
-_BODY = {
-    "inertia about the joint": "link_inertia",
-    "mass times distance": "link_moment",
-    "angle of the centre": "link_gravity_angle",
-    "joint torque per motor torque": "gain",
-    "joint torque, less": "torque_offset",
-}
-
 
 @dataclass(frozen=True)
 class Format:
@@ -86,12 +78,12 @@ def omitted(row: Quantity) -> bool:
 def formats() -> Mapping[str, Format]:
     """Read the formats by name."""
     rows = tomllib.loads((files(__package__) / "formats.toml").read_text(encoding="utf-8"))
-    known = {}
+    body, known = rows.pop("transmission"), {}
     for name, row in rows.items():
         prefix = "" if "files" in row else "about: "
         names = row.pop("names", {f"{prefix}{x}": x for x in NUMBERS if x not in OF_BAM})
         if row.get("body") and "gain" not in names.values():
-            names |= _BODY
+            names |= body
         known[name] = Format(name, names=names, **row)
     return known
 

@@ -65,18 +65,11 @@ LINK_AND_DRIVE = ("link_inertia", "link_moment", "link_gravity_angle", "gain", "
 LOSSES = ("friction", "damping", "quadratic", "load_friction", "rise", "load_rise")
 # Number that a parameter is part of, exactly: by its name, or by its quantity of an element.
 _NUMBER_OF: Mapping[str, str] = {
-    "load.inertia": "link_inertia",
-    "load.first_moment": "link_moment",
-    "load.gravity_angle": "link_gravity_angle",
-    "load.spring": "stiffness",
-    "load.spring_cubic": "stiffness_cubic",
-    "drive.gain": "gain",
-    "offset": "torque_offset",
-    "inertia": "armature",
-    "viscous": "damping",
-    "quadratic": "quadratic",
-    "coulomb": "friction",
-}
+    "load.inertia": "link_inertia", "load.first_moment": "link_moment",
+    "load.gravity_angle": "link_gravity_angle", "load.spring": "stiffness",
+    "load.spring_cubic": "stiffness_cubic", "drive.gain": "gain", "offset": "torque_offset",
+    "inertia": "armature", "viscous": "damping", "quadratic": "quadratic", "coulomb": "friction",
+}  # fmt: skip
 # Samples that a law with load-dependent friction is fitted to, and fixed-point iterations of its
 # torque, which friction depends on.
 _SAMPLES, _ITERATIONS = 2000, 60

@@ -25,8 +25,6 @@ from bayesfric.mechanism.quantities import Quantity, State
 from bayesfric.recordings.arrays import Array
 
 Language = Literal["python", "c"]
-Formula = float | str
-Statements = list[tuple[str, str]]  # name and formula, in order; a comment has no name
 
 # NumPy's operations as formulas.
 _WRITTEN = {
@@ -81,7 +79,7 @@ class Traced(NDArrayOperatorsMixin):
         raise Unwritten("a choice")
 
 
-def _formula(x: Any) -> Formula:
+def _formula(x: Any) -> float | str:
     if isinstance(x, Traced):
         return x.formula
     if isinstance(x, np.ndarray) and x.ndim == 0:  # np.ones_like(...)
@@ -121,13 +119,14 @@ def _kernels() -> dict[str, Any]:
     return run
 
 
-def statements(joint: Joint, vector: Array) -> Statements:
+def statements(joint: Joint, vector: Array) -> list[tuple[str, str]]:
     """Write down the measured torque of a joint at one vector ``(d,)``, as ``measured``.
 
-    It starts from ``q``, ``v``, ``a`` and ``s``, at 20 degC and time zero, without a delay.
+    Names and formulas in order; a comment has no name. It starts from ``q``, ``v``, ``a``, ``s``,
+    at 20 degC and time zero, without a delay.
     """
     run, custom = _kernels(), [term.name for term in joint.terms]
-    lines: Statements = []
+    lines: list[tuple[str, str]] = []
     (elements,), (load,), _ = joint.tables(vector[None])
     q, v, a, s = map(Traced, "qvas")
 
