@@ -77,6 +77,9 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
     round_numbers = (np.ceil(span / ten - 1e-9) * ten for ten in tens)
     reset = next((x for x in round_numbers if abs(x - reset) <= usual), reset)
     against = np.mean(jumped * motion < 0.0) > 0.75
+    # one jump may be of a clock that was started again, but by a decade, a minute, an hour or a day
+    digits = float(f"{reset:.6e}".partition("e")[0])
+    against = against and (jumped.size > 1 or digits in (1.0, 6.0, 3.6, 8.64))
     moduli = [*([turn] if turn else []), *(2.0 ** np.arange(8, 33) if is_integer else ())]
     for modulus in [*moduli, *([reset] if against else [])]:
         jumps = np.abs(steps) > modulus / 2.0
@@ -214,10 +217,7 @@ def own_rows(values: Array, time: Array) -> tuple[Index, str] | None:
 
 
 def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
-    """Flag the samples whose speed is not below the dead zone, nor near a standstill.
-
-    The low-pass smears that over ``guard`` samples; as many slow ones in a row are a standstill.
-    """
+    """Flag the samples of speeds from the dead zone up, not within ``guard`` of a standstill."""
     moving = np.abs(qd) >= dead_zone
     still = resting(qd, segments, dead_zone, guard)
     return moving if not still.any() else moving & ~near(still, guard)
@@ -333,10 +333,7 @@ def between(factor: float) -> str:
 def feedback(
     torque: Array, position: Array, velocity: Array, usable: Flags, *, least_samples: int = 50
 ) -> tuple[Feedback, float] | None:
-    """Detect a torque that follows the motion by a simple law, which hides friction or gravity.
-
-    Returns the law, and the share of the samples or of the torque's variance that it explains.
-    """
+    """Detect a torque that follows the motion by a simple law; returns it and what it explains."""
     t, q, v = torque[usable], position[usable], velocity[usable]
     if t.size < least_samples or not np.ptp(t) > 0.0:
         return None
@@ -362,10 +359,7 @@ def feedback(
 def target_fault(
     target: Array, position: Array, used: Flags, *, lags: int = 40, most: int = 100_000
 ) -> tuple[str, str] | None:
-    """Say why a position ``(n,)`` cannot follow a target ``(n,)``, and what to do.
-
-    It comes after the target, is about as large, and moves the same way where ``used``.
-    """
+    """Say why a position ``(n,)`` cannot follow a target where ``used``, and what to do."""
     if not np.ptp(target):
         return "never moves", "record a motion, or name the column of targets"
     lags = min(lags, target.size // 4)

@@ -138,10 +138,7 @@ def reach_of(
 
 
 def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:
-    """Differentiate signals (..., n) in every segment of at least three samples; else it is 0.
-
-    By :func:`differentiator`, at a segment's ends by fewer neighbours or one-sided.
-    """
+    """Differentiate signals (..., n) in every segment of three or more, by `differentiator`."""
     result = np.zeros_like(values)
     for a, b in segments:
         n = b - a
@@ -171,10 +168,7 @@ def averaged(values: Array, segments: Segments, length: float) -> Array:
 
 
 def later(values: Array, samples: float, neighbours: int = 4) -> Array:
-    """Delay a signal ``(n,)`` by a possibly fractional or negative number of samples.
-
-    By the polynomial through ``neighbours`` on either side, constant beyond the ends.
-    """
+    """Delay a signal ``(n,)`` by some samples, by the polynomial through its ``neighbours``."""
     shift, furthest = math.floor(-samples), len(values) + neighbours
     weights = _between(-samples - shift, neighbours)
     # beyond the whole signal there is only its end
@@ -302,10 +296,7 @@ def parallel_cutoff(factor: int, band: float | None, fs: float) -> float:
 
 
 def parallel_taps(factor: int, band: float | None, fs: float) -> Array:
-    """Design the weights ``(L,)`` of a parallel filter, L odd; they sum to 1.
-
-    ``factor`` is samples an output, ``band`` the cut-off in Hz, None for the white one.
-    """
+    """Design the weights ``(L,)`` of a parallel filter, L odd, for ``factor`` samples an output."""
     length = parallel_length(factor, band, fs)
     if length == 1:
         return np.ones(1)
@@ -418,10 +409,7 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
 
 
 def finest_step(position: Array, *, smallest: int = 100, uneven: float = 0.1) -> float:
-    """Find the common divisor of the ``smallest`` differences of positions by Euclid's algorithm.
-
-    Within a share ``uneven`` of the step; 0 for none.
-    """
+    """Find the common divisor of differences of positions by Euclid's algorithm; 0 for none."""
     gaps = np.diff(np.unique(position))
     # rounding of a conversion of units is no encoder step
     rounding = 64.0 * float(np.finfo(np.float64).eps) * float(np.abs(position).max())

@@ -21,17 +21,11 @@ class Validation(Options):
 
     recordings: tuple[str, ...] = Field(
         (),
-        description="names of recordings that the fit does not see; it predicts them instead, "
-        "and reports how well",
+        description="names of recordings that the fit does not see but predicts",
         examples=[("run-3",)],
     )
     hold_out: float | None = Field(
-        None,
-        gt=0,
-        lt=1,
-        description="share of every fitted recording, at its end, that the fit does not see "
-        "either; none if left out",
-        examples=[0.2],
+        None, gt=0, lt=1, description="share of every other one that is predicted", examples=[0.2]
     )
 
 
@@ -85,10 +79,7 @@ def divide(
 def _without_end(
     recording: Measurement, processing: Processing, share: float, *, gap: int = 10
 ) -> list[Part]:
-    """Hold out the last share of the samples, with a window and ``gap`` outputs before it.
-
-    So the autocorrelation of the noise decays.
-    """
+    """Hold out the last share, a window and ``gap`` outputs off, beyond the noise's correlation."""
     where, name = "validation.hold_out", recording.name
     n = recording.time.size
     begin = n - round(share * n)

@@ -210,10 +210,9 @@ def _read_delimited(path: Path, options: TableOptions) -> Table:
 
 def _numbers(body: Sequence[str], delimiter: str) -> LoadColumn | None:
     """Read a table of nothing but finite numbers; pandas takes a third of a second to import."""
+    mark = None if delimiter == "whitespace" else delimiter
     try:
-        numbers = np.loadtxt(
-            body, delimiter=None if delimiter == "whitespace" else delimiter, comments=None, ndmin=2
-        )
+        numbers = np.loadtxt(body, delimiter=mark, comments=None, ndmin=2)
     except ValueError:
         return None
     # larger ones are whole numbers that would be rounded
@@ -236,8 +235,8 @@ def _cells_by_pandas(
         problem = f"is not readable as CSV ({error})"
         raise BadInput(str(path), problem, "check its rows and quotes") from error
     if frame.shape != (len(body), width):
-        problem = f"has {len(body)} lines of {width} cells, read as {frame.shape[0]} rows of "
-        raise BadInput(str(path), f"{problem}{frame.shape[1]}", "close the quotes")
+        problem = f"has {len(body)} lines of {width} cells, read as {frame.shape}"
+        raise BadInput(str(path), problem, "close the quotes")
     return lambda index: frame.iloc[:, index].to_numpy()
 
 
@@ -246,8 +245,7 @@ def _titled(
 ) -> tuple[Table, int]:
     """Make a table without cells of the ``rows`` above them; returns the index of the first row."""
     flags = [[is_number(cell, decimal) for cell in row] for row in rows]
-    width = _width(flags)
-    header, first = _find_header(path, lines, rows, flags, width)
+    header, first, width = _find_header(path, lines, rows, flags)
     names, units, notes = [""] * width, list[str](), list[str]()
     top = first if header is None else header
     if header is not None:
@@ -304,13 +302,10 @@ def _width(flags: Sequence[Sequence[bool]]) -> int:
 
 
 def _find_header(
-    path: Path,
-    lines: Sequence[int],
-    rows: Sequence[Sequence[str]],
-    flags: Sequence[Sequence[bool]],
-    width: int,
-) -> tuple[int | None, int]:
-    """Find header and first row of the table of ``width`` columns."""
+    path: Path, lines: Sequence[int], rows: Sequence[Sequence[str]], flags: Sequence[Sequence[bool]]
+) -> tuple[int | None, int, int]:
+    """Find header and first row of a table, and its number of columns."""
+    width = _width(flags)
     like = [len(row) == width for row in rows]
     fitting = (n for n, row in enumerate(flags) if like[n] and 2 * sum(row) >= width > 0)
     first = next(fitting, -1)
@@ -319,28 +314,28 @@ def _find_header(
         hint = "check delimiter, decimal and skip_rows, or whether this is a text table at all"
         raise BadInput(f"{path}, line {lines[len(rows) - 1]}", problem, hint)
     if first < 0:
-        return 0, len(rows)
+        return 0, len(rows), width
     while first > 0 and like[first - 1] and any(flags[first - 1]):
         first -= 1
     # pandas' names of columns without one are 0, 1, ..., behind an empty name of its index
     counted = [str(k) for k in range(width)]
     decimals = all("." in cell for cell in rows[min(first + 1, len(rows) - 1)])
     if list(rows[first]) in (["", *counted[:-1]], counted * decimals) and width > 1:
-        return first, first + 1
+        return first, first + 1, width
     if first and not like[first - 1] and any(flags[first - 1]):
         # a serial log may begin within a row
         if first == 1 or (like[first - 2] and not any(flags[first - 2])):
-            return first - 2 if first > 1 else None, first
+            return first - 2 if first > 1 else None, first, width
         # data that would be lost silently
         problem = f"has {len(rows[first - 1])} cells, the rows below have {width}"
         hint = "correct the row, or set skip_rows if it is no row of the table"
         raise BadInput(f"{path}, line {lines[first - 1]}", problem, hint)
     if not first or not like[first - 1]:
-        return None, first
+        return None, first, width
     missing = {"", "nan", "na", "n/a", "null", "none", "inf", "-inf", "-", "--", "?"}
     with_units = first > 1 and like[first - 2] and not any(flags[first - 2])
     with_units = with_units and missing.isdisjoint(cell.casefold() for cell in rows[first - 1])
-    return first - 1 - with_units, first
+    return first - 1 - with_units, first, width
 
 
 # Traces of CODESYS and TwinCAT: "key; value" lines, and per variable a block of "; time; value".
@@ -375,9 +370,12 @@ def _read_xlsx(path: Path, options: TableOptions) -> Table:
     texts = [[str(cell).strip() for cell in row] for row in cells]
     # titles above the table do not fill its columns
     rows = [row[: max((n for n, cell in enumerate(row, 1) if cell), default=0)] for row in texts]
-    table, first = _titled(path, range(1, len(frame) + 1), rows)
+    marks = (options.decimal,) if options.decimal else (".", ",")
+    decimal = max(marks, key=lambda mark: sum(is_number(x, mark) for row in rows for x in row))
+    table, first = _titled(path, range(1, len(frame) + 1), rows, decimal)
     body = frame.iloc[first:].infer_objects()
-    return dataclasses.replace(table, load=lambda index: body.iloc[:, index].to_numpy())
+    columns = [body[k].to_numpy() for k in body]
+    return dataclasses.replace(table, load=columns.__getitem__, decimal=decimal)
 
 
 def _one_of(path: Path, names: Sequence[str], wanted: str | None) -> str:
@@ -402,10 +400,7 @@ def _absent(where: str, what: str, known: Sequence[str], otherwise: str = "") ->
 
 
 def _read_json(path: Path, options: TableOptions) -> Table:
-    """Read a list of objects or of rows of numbers, or an object of lists; one column a key.
-
-    At the path ``options.table``, at the top, or the only one in the file.
-    """
+    """Read a list of objects or of rows, or an object of lists, by its path or the only one."""
     data = _flat(_inside(str(path), parse_json(str(path), _read_text(path)), options.table))
     where = "" if options.table is None else f"{options.table}."
     while tables := _tables_in(data, where):
@@ -606,17 +601,17 @@ def _read_hdf5(path: Path, options: TableOptions, *, matlab: bool = False) -> Ta
 
     def load(name: str) -> NDArray[Any]:
         with h5py.File(path, "r") as file:
-            dataset, problem = file[name], ""
+            dataset, where = file[name], f"{path}, column '{name}'"
             kind = dataset.attrs.get("MATLAB_class", b"")
             # MATLAB's text and cells are numbers to HDF5
             if kind in (b"char", b"cell", b"function_handle") or dataset.dtype.kind not in "biuf":
-                problem = f"holds {kind.decode() if kind else dataset.dtype.name}, not numbers"
-            elif dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
+                problem = f"holds {kind.decode() or dataset.dtype.name}, not numbers"
+                raise BadInput(where, problem, "export a vector of numbers")
+            if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
                 return np.empty(0)
-            elif dataset.ndim > 2 and sorted(dataset.shape)[-3] > 1:
+            if dataset.ndim > 2 and sorted(dataset.shape)[-3] > 1:
                 problem = f"has {dataset.ndim} axes, as images have"
-            if problem:
-                raise BadInput(f"{path}, column '{name}'", problem, "export a vector of numbers")
+                raise BadInput(where, problem, "export a vector of numbers")
             # MATLAB stores arrays transposed, and knows no vectors
             values = np.asarray(dataset[()])
             return np.squeeze(values.T if matlab else values)
@@ -806,15 +801,8 @@ _UNITS = {
     "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s"},
     "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
 }
-# Packages of messages, and messages, without measurements.
-_NOT_MEASURED: tuple[str, ...] = (
-    "rcl_interfaces",
-    "rosbag2_interfaces",
-    "rosgraph_msgs",
-    "diagnostic_msgs",
-    "tf2_msgs",
-)
-_NOT_MEASURED += ("std_msgs/msg/String",)
+# Packages of messages without measurements.
+_NOT_MEASURED = "rcl_interfaces rosbag2_interfaces rosgraph_msgs diagnostic_msgs tf2_msgs"
 
 
 def _read_bag(path: Path, options: TableOptions) -> Table:
@@ -853,7 +841,8 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
     """Choose a topic: its name, its type and its connections."""
     topics = {name: topic for name, topic in reader.topics.items() if topic.msgcount}
     types = {name: topic.msgtype or "several types" for name, topic in topics.items()}
-    useful = [name for name, kind in types.items() if not kind.startswith(_NOT_MEASURED)]
+    unlike = (*_NOT_MEASURED.split(), "std_msgs/msg/String")
+    useful = [name for name, kind in types.items() if not kind.startswith(unlike)]
     name = _one_of(path, list(topics) if wanted or not useful else useful, wanted)
     if (kind := types[name]) not in reader.typestore.fielddefs:
         problem = f"holds messages of {kind}, of which there is no one definition"

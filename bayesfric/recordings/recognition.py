@@ -33,7 +33,7 @@ _WORDS = {
     "temperature temp",
     "measured": "actual act measured meas present feedback pv is ist",
     # no name of a joint
-    "": "joint joints motor observation observations obs header in the output axis data value "
+    "": "joint joints j motor observation observations obs header in the output axis data value "
     "values signal log electrical control raw estimate est sum of",
 }
 # Words that count only as the whole name.
@@ -96,12 +96,15 @@ _OBJECTS |= {"607A": "target_position", "60FF": "target_velocity", "6071": "targ
 _OBJECT = re.compile(rf"(?i)(?<![0-9a-z])(?:0x)?({'|'.join(_OBJECTS)})h?(?![0-9a-z])")
 
 
+Choice = tuple[str | int, str]  # column, or its number, and its unit, empty if unknown
+
+
 @dataclass(frozen=True)
 class Log:
     """Recognised columns of a log."""
 
-    # column, or its number, and its unit, empty if unknown, by channel
-    chosen: dict[str, tuple[str | int, str]]
+    # by channel
+    chosen: dict[str, Choice]
     columns: tuple[str | int, ...]  # all columns
     joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
@@ -140,12 +143,15 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     moving = (j for j in joints if ranges[j] > least) if joint is None else joints
     # joint_2 is joint 2
     wanted = () if joint is None else (joint.lower(), named(f"{joint} position").joint)
-    label = next((j for j in moving if joint is None or j.lower() in wanted), None)
+    eligible = [j for j in moving if joint is None or j.lower() in wanted]
+    # that of which most is recorded: theta_m with omega_m, not theta_el
+    channels = {j: len({s[2].channel for s in signals if s[2].joint == j}) for j in eligible}
+    label = max(eligible, key=lambda j: channels[j], default=None)
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
     label = label or ""
-    chosen: dict[str, tuple[str | int, str]] = {}
+    chosen = dict[str, Choice]()
     decoding = dict[str, tuple[str, int]]()
     for channel in ("position", "velocity", *_DRIVES, "time"):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
@@ -174,12 +180,27 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         chosen["time"] = steady[0] if len(steady) == 1 else OPEN, ""
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
     if chosen.get("time", (OPEN, ""))[0] != OPEN:
-        chosen = {"time": _checked_time(table, *chosen.pop("time"), chosen, problems), **chosen}
+        chosen = {"time": _checked_time(table, chosen.pop("time"), chosen, problems), **chosen}
     taken = [column for column, _ in chosen.values()]
     wrong = tuple(problems[column] for column in dict.fromkeys(taken) if column in problems)
     # a column that names no joint is none to choose
     joints = tuple(filter(None, joints)) * (len(joints) > 1)
     return Log(chosen, columns, label, joints, where, wrong, decoding)
+
+
+def target_of(table: Table, joint: str) -> tuple[str, str] | None:
+    """Find the column of the target position of a joint as labelled in a log, and its unit."""
+    for name in table.names:
+        meaning = named(f"position {name}")
+        if not (meaning.wanted and meaning.channel == "position"):
+            continue
+        keys = [name, *(f"{name}[{k}]" for k in range(64))]
+        for key in keys if meaning.joint != joint else [name]:
+            if (meaning := named(f"position {key}")).joint == joint:
+                with suppress(BadInput):
+                    table.values(key)
+                    return key, meaning.unit
+    return None
 
 
 Signals = list[tuple[str, Array, "Named"]]
@@ -226,20 +247,24 @@ def with_clocks(table: Table) -> Table:
     """Pair columns with the stamps that share their group, word or number, if stamps differ."""
     table = _with_sums(table)
     marks = list(table.units or [""] * len(table.names))
-    times, dates = dict[str, Array](), dict[str, np.datetime64]()
+    times, suffixed, dates = dict[str, Array](), dict[str, Array](), dict[str, np.datetime64]()
     for k, name in enumerate(table.names):
         meaning = named(name, marks[k])
-        if meaning.channel == "time" and not meaning.wanted and table.names.count(name) == 1:
+        is_time = meaning.channel == "time" and not meaning.wanted
+        if (is_time or name.endswith("_t")) and table.names.count(name) == 1:
             with suppress(BadInput):
                 if (stamps := as_dates(table.cells(name))) is not None and stamps.dtype.kind == "M":
                     dates[name], marks[k] = stamps[~np.isnat(stamps)].min(), "s"
                     continue
+                if not is_time and increases(table.values(name)) is not None:
+                    suffixed[name] = table.values(name)
                 time = table.values(name) * units.scale([meaning.unit or "s"], "time")
-                if time.size > 1 and np.all(np.diff(time) > 0.0):
+                if is_time and time.size > 1 and np.all(np.diff(time) > 0.0):
                     times[name], marks[k] = time, meaning.unit
     if len(dates) > 1 and not times:
         table = replace(table, epoch=min(dates.values()), units=marks)
         times = {name: table.values(name) for name in dates}
+    times = times or suffixed  # of q_t, q, tau_t and tau
     clocks = list[str]()
     for name, time in times.items():
         if not any(_as_one(time, times[other]) for other in clocks):
@@ -264,7 +289,7 @@ def _with_sums(table: Table) -> Table:
     sums, marks = dict[str, Array](), list[str]()
     names = [name for name in table.names if table.names.count(name) == 1]
     clocks = [name for name in names if named(name).channel == "time"]
-    for name in clocks:
+    for name in names:
         part = _PART_OF_SECOND.fullmatch(name)
         of_seconds = next((x for s in _SECONDS if part and (x := f"{part[1]}{s}") in names), None)
         with suppress(BadInput):
@@ -319,26 +344,23 @@ def _of_joint(signals: Signals, label: str) -> Signals:
 
 
 def _checked_time(
-    table: Table,
-    column: str | int,
-    unit: str,
-    chosen: dict[str, tuple[str | int, str]],
-    problems: dict[str | int, str],
-) -> tuple[str | int, str]:
+    table: Table, time: Choice, chosen: dict[str, Choice], problems: dict[str | int, str]
+) -> Choice:
     """Return time's column and its unit, open where no joint is recorded so; says what is wrong."""
+    column, unit = time
     if column in problems:
         return column, unit
     try:
         columns = [name for name, _ in chosen.values() if name != OPEN]
         once = table.without_repeats(columns, column)
-        time = once.decoded({column: checks.unwrapped(once.values(column))[0]}, ()).stamps(column)
+        stamps = once.decoded({column: checks.unwrapped(once.values(column))[0]}, ()).stamps(column)
     except BadInput as error:
         problems[column] = str(error)
         return column, unit
-    time = time[np.isfinite(time)]
+    stamps = stamps[np.isfinite(stamps)]
     scale = units.scale([unit or "s"], "time")
-    period = scale * float(np.median(np.diff(time)))
-    if unit and implausible(period, scale * float(time[-1] - time[0])):
+    period = scale * float(np.median(np.diff(stamps)))
+    if unit and implausible(period, scale * float(np.ptp(stamps))):
         text = f"time: in {unit} its rows are {period:.3g} s apart, of no joint's motion"
         problems[column], unit = text, ""
     return column, unit
@@ -358,6 +380,9 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
 def _signals(table: Table, problems: dict[str | int, str]) -> Iterator[tuple[str, Array, Named]]:
     """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
+        if name in table.clocks.values() and named(name, written).channel != "time":
+            yield name, table.values(name), _TICKS
+            continue
         if not named(name, written).channel:
             if name and table.is_dated(name):
                 yield name, table.values(name), Named("time", _UNSURE, False, "", "s")

@@ -62,10 +62,7 @@ class Signals:
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
     def excerpt(self, limit: int = 5_000, *, neighbours: int = 50) -> Signals:
-        """Keep about ``limit`` outputs, unchanged, in runs of ``neighbours`` all over it.
-
-        Windows overlap, so neighbours share samples.
-        """
+        """Keep about ``limit`` outputs in runs of ``neighbours``, which share samples."""
         count = self.filter.n_outputs
         if count <= limit:
             return self

@@ -400,7 +400,8 @@ class Processing(Options):
 # --- recordings in Python ------------------------------------------------------------------------
 
 _Keys = TypeVar("_Keys", bound=Columns)
-Side = Literal["motor", "joint"]
+Side = Literal["motor", "joint"] | None
+Units = Mapping[str, str] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,8 +426,8 @@ class Recording:
         position: ArrayLike | None,
         torque: ArrayLike | float | None = None,
         *,
-        units: Mapping[str, str] | None = None,
-        side: Side | None = None,
+        units: Units = None,
+        side: Side = None,
         **keys: Any,
     ) -> Recording:
         """Take columns from arrays.
@@ -460,12 +461,7 @@ class Recording:
 
     @classmethod
     def from_dataframe(
-        cls,
-        frame: pd.DataFrame,
-        *,
-        units: Mapping[str, str] | None = None,
-        side: Side | None = None,
-        **keys: Any,
+        cls, frame: pd.DataFrame, *, units: Units = None, side: Side = None, **keys: Any
     ) -> Recording:
         """Take columns from a DataFrame.
 
@@ -487,12 +483,7 @@ class Recording:
 
     @classmethod
     def from_file(
-        cls,
-        path: str | Path,
-        *,
-        units: Mapping[str, str] | None = None,
-        side: Side | None = None,
-        **keys: Any,
+        cls, path: str | Path, *, units: Units = None, side: Side = None, **keys: Any
     ) -> Recording:
         """Take a file, or all that match a pattern, whose format goes by the suffix.
 
@@ -538,9 +529,7 @@ class Recording:
         return {c: c if isinstance(c, str) else f"column {c}" for c in self.source.columns}
 
 
-def _checked(
-    kind: type[_Keys], keys: Mapping[str, Any], units: Mapping[str, str] | None, side: Side | None
-) -> _Keys:
+def _checked(kind: type[_Keys], keys: Mapping[str, Any], units: Units, side: Side) -> _Keys:
     """Check keys as those of a ``[[recordings]]`` table."""
     document = {key: value for key, value in keys.items() if value is not None}
     motor = ("torque_constant", "resistance")

@@ -21,6 +21,7 @@ _ISO_8601 = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d")
 _DURATION = re.compile(r"(\d+ days? )?\d+:\d\d:\d\d")
 _ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
 _LISTS = (list, tuple, np.ndarray)
+Key = str | int
 _LENGTHS = "give columns of one length"
 # Text of cells without a value; other text that is no number is refused.
 _EMPTY = {"", "nan", "na", "n/a", "<na>", "nat", "null", "none", "-", "--"}
@@ -245,21 +246,13 @@ class Table:
         return self.clocks.get(self.names[self.place(key)[0]])
 
     def aligned(
-        self,
-        keys: Sequence[str | int],
-        first: str | int,
-        clock: str | int | None,
-        stamps: Array,
-        flag: str | int | None,
-        *,
-        max_share: float = 0.1,
-        gap: float = 5.0,
+        self, keys: Sequence[Key], first: Key, clock: Key | None, stamps: Array, flag: Key | None
     ) -> tuple[Table, Index]:
         """Bring columns to the rows in which all have a value; returns these rows, too.
 
         Rows are those of ``first``, at ``stamps`` (n,) of ``clock``. A column with other stamps, or
-        empty in more than ``max_share`` of the rows, is interpolated by time, across up to ``gap``
-        median steps, a ``flag`` by the last value before.
+        empty in more than a tenth of the rows, is interpolated by time, across up to five median
+        steps, a ``flag`` by the last value before.
         """
         used = ~self.holes(first)
         if not used.any():
@@ -286,14 +279,14 @@ class Table:
             columns[key] = self.values(key)
             stamped = present & np.isfinite(time)
             steps = np.diff(time[stamped])
-            by_row = time is stamps and present[base].mean() >= 1.0 - max_share
+            by_row = time is stamps and present[base].mean() >= 0.9
             if by_row or key == clock or not steps.size or not np.all(steps > 0.0):
                 used &= present
                 continue
             values = columns[key][stamped]
             before = np.searchsorted(time[stamped], stamps, "right") - 1
             inside = (before >= 0) & (stamps <= time[stamped][-1])
-            wide = np.append(steps > gap * np.median(steps), False)
+            wide = np.append(steps > 5.0 * np.median(steps), False)
             used &= inside & ~wide[before]
             smooth, straight = (f(stamps, time[stamped], values) for f in (pchip, np.interp))
             # next to a gap there is no slope

@@ -715,3 +715,54 @@ def test_a_clock_that_steps_back_is_not_misplaced_rows(number):
     columns["t"] = t.copy()
     columns["t"][[at, at + 1]] = t[[at + 1, at]]
     assert "sort the rows" in noted(lambda: configured(shuffled(rng, columns), **keys))[1]
+
+
+def test_stamps_named_by_their_signals():
+    t, late = 0.002 * np.arange(3000), 0.003 * np.arange(2000) + 0.001
+    cells = [t, angle(t), late, drive(late)]
+    table = with_clocks(Table("log", ["q_t", "q", "tau_t", "tau"], cells.__getitem__))
+    assert table.clocks == {"q": "q_t", "tau": "tau_t"}
+    assert chosen(table)[0] == {"position": "q", "torque": "tau", "time": "q_t"}
+
+
+def test_the_joint_of_which_most_is_recorded():
+    t = 0.002 * np.arange(3000)
+    electrical = 7.0 * angle(t) % (2.0 * np.pi)
+    columns = {"t": t, "theta_el": electrical, "theta_m": angle(t), "omega_m": speed(t)}
+    columns["i_q"] = drive(t)
+    assert chosen(Table("log", list(columns), list(columns.values()).__getitem__))[0] == {
+        "position": "theta_m", "velocity": "omega_m", "current": "i_q", "time": "t",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("count", "period", "is_wrap"), [(9000, 7.35, False), (9000, 60.0, True)])
+def test_a_clock_that_starts_again_is_no_wrap(count, period, is_wrap):
+    t = 0.01 * np.arange(count)
+    t = t[(t < 2.0 * period)]
+    cells = [t % period, angle(t), drive(t)]
+    table = Table("log", ["t", "q", "tau"], cells.__getitem__)
+    if is_wrap:
+        recording = configured(table, time="t", position="q", torque="tau")
+        np.testing.assert_allclose(recording.position, angle(recording.time), atol=1e-6)
+    else:
+        with pytest.raises(BadInput, match="back in time"):
+            configured(table, time="t", position="q", torque="tau")
+
+
+def test_a_drive_that_answers_too_slowly_is_named():
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 9.0, 1.0 / 350.0)
+    answers = np.cumsum(rng.choice([3, 3, 3, 9], t.size // 4))
+    at = answers[np.searchsorted(answers, np.arange(t.size), "right") - 1]
+    at = np.where(np.arange(t.size) < answers[0], 0, np.minimum(at, t.size - 1))
+    table = Table("log", ["t", "q", "tau"], [t, angle(t[at]), drive(t[at])].__getitem__)
+    with pytest.raises(BadInput, match=r"held for long.*steady = true"):
+        observe(configured(table, time="t", position="q", torque="tau"), Processing())
+
+
+def test_seconds_and_their_parts_of_ros_1():
+    t = np.round(0.002 * np.arange(3000), 6)
+    columns = {"secs": 1.7e9 + t // 1.0, "nsecs": np.round(t % 1.0 * 1e9), "q": angle(t)}
+    columns["tau"] = drive(t)
+    table = with_clocks(Table("log", list(columns), list(columns.values()).__getitem__))
+    assert chosen(table)[0]["time"] == "secs + nsecs"
