@@ -41,7 +41,7 @@ LONG = {
     "": """
         face own_term""",
     "arm": """
-        arm arm_rollout departures excitation joint_consistency""",
+        arm arm_closed_loop arm_rollout departures excitation joint_consistency""",
     "commands": """
         doubts estimate explain fit identify init runs""",
     "diagnostics": """
