@@ -41,9 +41,9 @@ LONG = {
     "": """
         face own_term""",
     "arm": """
-        arm arm_rollout excitation joint_consistency""",
+        arm arm_closed_loop arm_rollout departures excitation joint_consistency""",
     "commands": """
-        doubts estimate explain fit identify runs""",
+        doubts estimate explain fit identify init runs""",
     "diagnostics": """
         calibration_check explanation regression replicates""",
     "estimates": """
@@ -59,7 +59,7 @@ LONG = {
     "inference": """
         discrepancy likelihood_dense moments position_likelihood proposals sampling standstill""",
     "mechanism": """
-        closed_loop quantities""",
+        closed_loop integrator prediction_errors quantities""",
     "population": """
         pooled""",
     "recordings": """
@@ -72,7 +72,7 @@ LONG = {
     "rollouts": """
         rollout""",
     "studies": """
-        dfki_pendulum identified real_recordings""",
+        benchmark_problem dfki_pendulum identified real_recordings""",
 }
 LONG_FILES = {
     Path(__file__).parent / folder / f"test_{name}.py"

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.arm.arm_closed_loop import common_timing, own_columns
 from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import ArmOptions
@@ -96,7 +97,8 @@ class Arm:
         log
             A log that holds the positions of all joints; or several with the same columns.
         predict
-            A log of another motion, with the same columns; its torque is predicted, not fitted.
+            A log of another motion, with the same columns; its torque is predicted, not fitted. An
+            arm of targets alone follows them in :func:`bayesfric.arm.arm_rollout.rollout`.
         effort_unit
             Unit of the efforts, where no log names it; N m (N of a sliding joint) if left out.
         seed
@@ -113,8 +115,12 @@ class Arm:
         with progress_shown(progress) as report:
             arm, models, torques = self.prepared(paths, predict, effort_unit, report)
             joints = dict(arm.joints)
+            closed = {name: x for name, x in models.items() if x.chain.closed_loop}
+            timing = common_timing(closed, report)
             for name, model in models.items():
                 report(Progress(name))
+                if timing is not None and name in closed:
+                    model = timing.known(model)
                 joints[name] = self._with_coupling(joints[name], model, arm.logs[0], torques[name])
                 try:
                     result = arm.departures.doubted(name, model.fit(seed=seed, progress=report))
@@ -124,7 +130,7 @@ class Arm:
         if all(joint.result is None for joint in joints.values()):
             failures = "; ".join(f"{name}: {joint.failure}" for name, joint in joints.items())
             raise BadInput(str(paths[0]), f"no joint is fitted ({failures})", "correct one")
-        return replace(arm, joints=joints).combined(np.random.default_rng(seed))
+        return replace(arm, joints=joints, timing=timing).combined(np.random.default_rng(seed))
 
     def prepared(
         self,
@@ -163,7 +169,7 @@ class Arm:
             bodies,
             prior,
             logs,
-            models,
+            {name: x for name, x in models.items() if not x.chain.by_target},
             directions,
             payload=options.payload.given,
             lacking=options.repeatability.friction,
@@ -211,7 +217,8 @@ class Arm:
             try:
                 if isinstance(effort, BadInput):
                     raise effort
-                models[name] = self._model(joint, logs, torques, held_out, delay)
+                further = own_columns(bodies, name, directions, logs, parameters)
+                models[name] = self._model(joint, logs, torques, further, held_out, delay)
                 observations = models[name].observations
                 compared = [o.filter.apply(bodies_torques(o)) for o in observations]
                 urdf, *deviations = np.concatenate(compared, axis=1)
@@ -302,6 +309,7 @@ class Arm:
         fitted: FittedJoint,
         logs: Sequence[ArmLog],
         torques: Sequence[Array],
+        further: Sequence[Mapping[str, Array]],
         held_out: Sequence[str],
         delay: float,
     ) -> Model:
@@ -311,7 +319,12 @@ class Arm:
         """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)
-        recordings = [log.recording(joint, t) for log, t in zip(logs, torques, strict=True)]
+        by_target = logs[0].by_target(joint.name)
+        if by_target:  # what is held out is predicted by the arm as a whole, from its targets
+            logs, held_out = logs[: len(logs) - len(held_out)], ()
+        recordings = [
+            log.recording(joint, t, x) for log, t, x in zip(logs, torques, further, strict=False)
+        ]
         columns = signals(fitted.directions.shape[1])
         normal = {"distribution": "norm", "loc": 0.0, "scale": 1.0}
         priors: dict[str, Any] = {f"load.{column}": normal for column in columns}
@@ -321,7 +334,7 @@ class Arm:
         delay = delay if joint_options.delay is None else joint_options.delay
         gain = joint_options.gain or options.gain
         if delay:
-            priors["drive.delay"] = delay
+            priors["target.delay" if by_target else "drive.delay"] = delay
         if gain:
             lognormal = {"distribution": "lognorm", "s": gain, "scale": 1.0}
             priors["drive.gain"] = [*gain] if isinstance(gain, tuple) else lognormal
@@ -334,9 +347,13 @@ class Arm:
                 "motion": joint.motion,
                 "offset": True,
                 "gain": bool(gain),
-                "delay": delay != 0.0,
+                **({} if by_target else {"delay": delay != 0.0}),
                 "elements": {"motor": friction},
-                "load": {"motion": joint.motion, "signals": columns},
+                "load": {
+                    "motion": joint.motion,
+                    "signals": columns,
+                    **({"spring": True} if options.spring else {}),
+                },
             },
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],
             "priors": {**priors, **joint_options.priors},

@@ -22,7 +22,7 @@ from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import implausible
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.recognition import named, recognise
+from bayesfric.recordings.recognition import named, recognise, target_of
 from bayesfric.recordings.source import CHANNELS, SI
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
@@ -67,6 +67,8 @@ def layout_of(
             channel = document[key]
             if channel.get("column") == OPEN:
                 raise BadInput(str(path), f"{'; '.join(assumed)}: which is the {key}?", _INIT)
+            if channel.get("kp") == OPEN:
+                raise BadInput(str(path), "has targets, of which kp and kd are not known", _INIT)
             if channel.get("unit") == OPEN:
                 channel["unit"] = SI
                 without_unit.add(key)
@@ -112,6 +114,12 @@ def recognised_layout(
             document["current"]["torque_constant"] = "{torque_constant}"
         layout[name] = document
         notes += [problem for problem in recognised.problems if problem not in notes]
+    if all(document.keys().isdisjoint(_DRIVES) for document in layout.values()):
+        for name, label in labels.items():
+            if target := target_of(table, label):
+                column, unit = target
+                gains = {"kp": OPEN, "kd": OPEN}
+                layout[name]["target"] = {"column": column, "unit": unit or OPEN, **gains}
     return layout, notes
 
 

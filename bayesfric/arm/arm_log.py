@@ -104,13 +104,22 @@ class ArmLog:
         """Read a joint with its effort."""
         return self._read(self.recording(joint, np.zeros((0, 1))), joint)
 
-    def recording(self, joint: UrdfJoint, torques: Array) -> Recording:
+    def by_target(self, joint: str) -> bool:
+        """Whether only a target says what torque a joint has."""
+        source = self.sources[joint]
+        efforts = source.torque, source.current, source.voltage
+        return source.target is not None and not any(efforts)
+
+    def recording(
+        self, joint: UrdfJoint, torques: Array, further: Mapping[str, Array] | None = None
+    ) -> Recording:
         """Add rigid-body torque and its deviations ``(1 + k, n)`` to a joint's columns.
 
-        They are at the times of :attr:`motion`.
+        They, and ``further`` ones, are at the times of :attr:`motion`.
         """
         source, scale = self.sources[joint.name], self.scales.get(joint.name, 1.0)
-        pairs = zip((_URDF_TORQUE, *signals(len(torques) - 1)), torques, strict=False)
+        names = (_URDF_TORQUE, *signals(len(torques) - 1), *(further or {}))
+        pairs = zip(names, [*torques, *(further or {}).values()], strict=False)
         computed = {name: interpolated(self.time, x, self._stamps) for name, x in pairs}
         return self._columns(source, computed, scale)
 

@@ -179,6 +179,9 @@ class ArmOptions(Options):
         ElementOptions(),
         description="Further or other friction of all joints, as an element of a mechanism.",
     )
+    spring: bool = Field(
+        False, description="Whether a cable or spring pulls each joint in proportion to its angle."
+    )
     terms: Literal["auto", "as written"] = Field(
         "as written",
         description="auto adds terms that explain a joint's torque; minutes more a joint.",

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from bayesfric.arm.arm_closed_loop import followed
 from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput
@@ -65,12 +66,14 @@ class ArmRollOut:
             f"{name} {rms[name]:.2g} {unit} off, bands hold {coverage[name]:.0%}"
             for name, unit in self.units.items()
         ]
-        return f"roll-out of {self.log}, restarted every {self.seconds:g} s: {listed(parts)}"
+        restarted = f", restarted every {self.seconds:g} s" * bool(np.isfinite(self.seconds))
+        return f"roll-out of {self.log}{restarted}: {listed(parts)}"
 
     def as_json(self) -> dict[str, Any]:
         """Give what :meth:`text` summarises."""
         numbers = {"rms": self.rms, "held": self.coverage, "units": dict(self.units)}
-        return {"log": self.log, "seconds": self.seconds, **numbers}
+        seconds = self.seconds if np.isfinite(self.seconds) else None
+        return {"log": self.log, "seconds": seconds, **numbers}
 
     def as_csv(self) -> str:
         """Write a row for each sample: time, whether the arm restarts, positions by joint."""
@@ -98,18 +101,35 @@ def rollout(
 
     It is set to the measured state every ``seconds``. Each draw of inertial parameters and friction
     has the residual torque of the first log from a random time on, the same time for all joints.
+    Joints of targets alone follow them, see :func:`bayesfric.arm.arm_closed_loop.followed`.
     """
     rng, bodies, fitted = np.random.default_rng(seed), arm.bodies, arm.fitted
     first, log = arm.logs[0], arm.logs[-1]
     step = float(np.median(np.diff(log.time)))
-    if not step < seconds < np.inf:
+    if not step < seconds < np.inf and arm.timing is None:
         problem = f"is {seconds:g}, a sample is {step:.3g} s"
         raise BadInput("seconds of a roll-out", problem, "increase it")
     driven = np.array([list(bodies.joints).index(name) for name in fitted])
     z, values = arm.draw(draws, rng)
-    friction = [_friction(joint, values[name]) for name, joint in fitted.items()]
     columns = arm.prior.columns(loaded=log.loaded)
     inertial = columns[:, 0] + z @ columns[:, 1:].T
+    measured = [log.measured(bodies.joints[name]) for name in fitted]
+    restarts = np.append(True, np.diff(log.time) > 1.5 * step)
+    since = log.time - np.maximum.accumulate(np.where(restarts, log.time, -np.inf))
+    restarts |= np.append(False, np.diff(np.floor(since / seconds + 1e-6)) > 0)
+    units = {
+        name: "m" if joint.joint.motion == "linear" else "rad" for name, joint in fitted.items()
+    }
+
+    def played(simulated: Array) -> ArmRollOut:
+        bands, positions = np.quantile(simulated, (0.05, 0.5, 0.95), axis=0), log.motion[0, driven]
+        return ArmRollOut(log.name, seconds, units, log.time, restarts, positions, bands)
+
+    if arm.timing is not None:
+        fits = {name: joint.fitted.fit for name, joint in fitted.items()}
+        laws = dict(zip(fitted, measured, strict=True))
+        return played(followed(bodies, log, laws, fits, inertial, values, restarts, rng, progress))
+    friction = [_friction(joint, values[name]) for name, joint in fitted.items()]
     # residual efforts of the first log
     columns = arm.prior.columns(loaded=first.loaded)
     mean = np.repeat((columns @ np.r_[1.0, z.mean(axis=0)])[None, :, None], len(bodies.joints), 0)
@@ -118,10 +138,6 @@ def rollout(
         _residual(joint, first.time, rigid[j], numbers)
         for joint, j, numbers in zip(fitted.values(), driven, friction, strict=True)
     ]
-    measured = [log.measured(bodies.joints[name]) for name in fitted]
-    restarts = np.append(True, np.diff(log.time) > 1.5 * step)
-    since = log.time - np.maximum.accumulate(np.where(restarts, log.time, -np.inf))
-    restarts |= np.append(False, np.diff(np.floor(since / seconds + 1e-6)) > 0)
     simulated = np.empty((draws, len(fitted), log.time.size))
     period = float(np.ptp(first.time))
     for k in range(draws):
@@ -139,11 +155,7 @@ def rollout(
         )
         dynamics = bodies.dynamics(inertial[k])
         simulated[k] = simulate_arm(dynamics, draw, log.time, log.motion, effort, driven, restarts)
-    units = {
-        name: "m" if joint.joint.motion == "linear" else "rad" for name, joint in fitted.items()
-    }
-    bands = np.quantile(simulated, (0.05, 0.5, 0.95), axis=0)
-    return ArmRollOut(log.name, seconds, units, log.time, restarts, log.motion[0, driven], bands)
+    return played(simulated)
 
 
 def _friction(joint: FittedJoint, values: Array) -> dict[str, Array]:

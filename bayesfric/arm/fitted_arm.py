@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from bayesfric.arm.arm_closed_loop import Timing
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.arm_options import NUMBERS, Repeatability, torque_columns
 from bayesfric.arm.departures import ArmDelay, Departures
@@ -300,6 +301,7 @@ class FittedArm:
     departures: Departures
     assumed: str = ""  # about columns and units that the log does not name
     late: ArmDelay | None = None  # of the efforts; None where it is known
+    timing: Timing | None = None  # of targets and readings, of joints without an effort
 
     def combined(self, rng: np.random.Generator) -> FittedArm:
         """Combine the fits of joints, and update their numbers."""
@@ -396,6 +398,7 @@ class FittedArm:
             "assumed": self.assumed,
             "samples": self.samples,
             "delay": self.late and asdict(self.late),
+            "timing": self.timing and asdict(self.timing),
             "bodies": self.inertial_estimate,
             "joints": {name: joint.as_json() for name, joint in self.joints.items()},
         }

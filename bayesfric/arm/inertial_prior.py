@@ -195,6 +195,16 @@ class Bodies:
             out[i] = np.einsum("jp,jpk->jk", regressor, parameters)
         return np.moveaxis(out, 0, 2)
 
+    def own_inertia(self, joint: str, position: Array, parameters: Array) -> Array:
+        """Compute a joint's inertia ``(k, n)`` with all others held, kg m² or kg.
+
+        ``position`` is ``(n_joints, n)``, ``parameters`` ``(10 n_links, k)``.
+        """
+        j, motion = list(self.joints).index(joint), np.zeros((3, *position.shape))
+        motion[0], motion[2, j] = position, 1.0
+        weightless = self.under((0.0, 0.0, 0.0))
+        return np.stack([row[j] @ parameters for row in weightless._regressors(motion)], axis=1)
+
     def dynamics(self, parameters: Array) -> Callable[[Array, Array], tuple[Array, Array]]:
         """Return a function for forward dynamics with inertial parameters ``(10 n_links,)``.
 

@@ -6,6 +6,7 @@ import ctypes
 import gc
 import io
 import json
+import math
 import os
 import shlex
 import signal
@@ -342,8 +343,9 @@ def arm(
         page, lines, numbers = result.write(folder, full=full), result.text(), result.as_json()
         if to_files:
             write_files({folder / name: text for name, text in files_of(result).items()})
-        if roll_out is not None:
-            played = play(result, seconds=roll_out, seed=seed, progress=progress)
+        if roll_out is not None or (predict is not None and result.timing is not None):
+            parts = math.inf if roll_out is None else roll_out
+            played = play(result, seconds=parts, seed=seed, progress=progress)
             write_files({folder / "rollout.csv": played.as_csv()})
             lines.append(played.text())
             numbers["rollout"] = played.as_json()

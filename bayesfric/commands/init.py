@@ -269,7 +269,7 @@ def _arm_configuration(log: Path, urdf: Path, layout: Mapping[str, Any]) -> dict
         if all(key in document for document in documents):
             entries = {k: [document[key][k] for document in documents] for k in channel}
             recording[key] = {k: v[0] if v.count(v[0]) == len(v) else v for k, v in entries.items()}
-    if recording.keys().isdisjoint(("torque", "current", "voltage")):
+    if recording.keys().isdisjoint(("torque", "current", "voltage", "target")):
         recording["torque"] = blank["torque"]
     open_keys = {f"recording.{key}": OPEN for key, x in recording.items() if OPEN in str(x)}
     held = [name for name in joints if name not in present]

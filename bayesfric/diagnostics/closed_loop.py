@@ -188,10 +188,9 @@ def _played(
     o, recording = likelihood.observations[r], likelihood.recordings[r]
     assert recording.law is not None
     starts = [a for a, _ in recording.segments]
-    state, options = (o.q[starts], o.qd[starts]), {"inputs": o.inputs, "begin": recording.time[0]}
     q, qd = follow(
         likelihood.chain, values[None], recording.law, recording.period, recording.segments,
-        *state, push=push, **options,
+        o.q[starts], o.qd[starts], push=push, inputs=o.inputs, time=recording.time,
     )  # fmt: skip
     qdd = np.zeros_like(qd[0])
     for a, b in recording.segments:

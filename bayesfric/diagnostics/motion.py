@@ -78,7 +78,12 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> S
     away = [since_reversal(o.q, least) for o in observations]
     sides = {"motor": chain.ratio, "joint": 1.0} if chain.ratio != 1.0 else {"joint": 1.0}
     cycles = {name: k * sides[side] for name, (k, side) in TURNS.items() if side in sides}
-    others = dict.fromkeys(name for o in observations for name in o.inputs.others)
+    others = dict.fromkeys(
+        name
+        for o in observations
+        for name in o.inputs.others
+        if not (chain.own_inertia and o.inputs.is_of_load(name))
+    )
     return Scales(
         speed=float(np.quantile(np.abs(of_outputs([o.qd for o in observations])), 0.95)),
         reach=2.0 * float(np.median(of_outputs(away))),

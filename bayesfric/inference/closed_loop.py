@@ -128,7 +128,7 @@ class ClosedLoopLikelihood:
                 stride=self.stride,
                 push=None if pushes is None else pushes[r],
                 inputs=o.inputs,
-                begin=float(recording.time[0]),
+                time=recording.time,
                 step=self._steps[r],
             )
             out.append((error[:, self.used[r]], variance[:, self.used[r]]))
@@ -186,7 +186,9 @@ def _step(chain: Joint, recording: Measurement, o: Signals, point: Array) -> flo
     torques = inverse_torque(
         chain, point, still, still, accelerations, inputs=o.inputs, time=o.stamps[:2]
     )
-    inertia = max(abs(float(torques[1] - torques[0])), 1e-300)
+    weights, columns, _ = chain.load_columns(point[None], o.inputs, o.stamps)
+    inertia = abs(float(torques[1] - torques[0])) + float(np.min(weights[0] @ columns[:, 0]))
+    inertia = max(inertia, 1e-300)
     _, kd = chain.drive_gains(point[None])
     scale = float(np.abs(law.scale).max())
     stiff, damped = scale * law.kp / inertia, (scale * law.kd + kd[0] + law.back_emf) / inertia

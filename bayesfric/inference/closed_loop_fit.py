@@ -74,7 +74,7 @@ def closed_loop_mode(
 
     What the model lacks at high frequency moves the estimate from single readings most. Where that
     from predictions 20 ms ahead differs by more than ``largest`` standard deviations of the
-    difference, it is used, and the differences are given by name.
+    difference, it is used, and the differences are given by name; with infinity it is not searched.
     """
     likelihood, rng = target.likelihood, np.random.default_rng(seed)
     assert isinstance(likelihood, ClosedLoopLikelihood)
@@ -91,7 +91,7 @@ def closed_loop_mode(
 
     modes = [climb_from(target, u) for u in _starting_points(target, estimates, prior_draws)]
     mode = modes[int(np.argmax(target(np.array(modes))))]
-    if likelihood.longer == 1:
+    if likelihood.longer == 1 or np.isinf(largest):
         return at_mode(target, mode, {})
     longer = copy(target)
     longer.likelihood = likelihood.with_stride(likelihood.longer)

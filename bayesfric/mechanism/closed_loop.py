@@ -29,7 +29,7 @@ from bayesfric.mechanism.integrate import (
     plant_of,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.kernels import GAIN, INERTIA, VISCOUS
+from bayesfric.mechanism.kernels import GAIN, INERTIA, LOAD_INERTIA, VISCOUS
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.measurement import Inputs, Law
 
@@ -57,7 +57,7 @@ class _Drive(NamedTuple):
     smoothness: float  # else how it passes there: 0 in a line, 1 in a cubic spline
     delay: float  # by which it acts late on its target, samples
     period: float  # s
-    begin: float  # s, time of the first sample
+    time: Array  # (N,) s
     longest: float  # s, longest step
 
 
@@ -70,6 +70,9 @@ class _Loop(NamedTuple):
     valid: Flags  # (n,)
     drive: _Drive  # the gains are those of no vector
     gains: Array  # (n, 5) factor of the command, kp, kd, delay in samples, smoothness
+    # coefficients (n, c) of the load's inertia and torque (c, 2, N) by further columns
+    weights: Array
+    columns: Array
 
 
 def _loop(
@@ -79,9 +82,12 @@ def _loop(
     period: float,
     segments: Index,
     inputs: Inputs,
-    begin: float,
+    time: Array | None,
     step: float,
 ) -> _Loop:
+    even = period * np.arange(law.command.size)
+    stamps: Array = np.ascontiguousarray(even if time is None else time, dtype=np.float64)
+    weights, columns, inputs = joint.load_columns(vectors, inputs, stamps)
     elements, load, carried = forward_tables(joint, vectors, inputs)
     # gains that are parameters act inside the drive's limit, not as a gain and a viscous loss
     factor, kd = joint.drive_gains(vectors)
@@ -104,8 +110,11 @@ def _loop(
         places = np.arange(b - a)
         bends[a:b] = CubicSpline(places, command[a:b], bc_type="natural")(places, 2)
     gains_of_none = 0.0, 0.0, limit, back_emf, held, 0.0, 0.0
-    drive = _Drive(command, 1.0, bends, scale, on, *gains_of_none, period, begin, step)
-    return _Loop(elements, load, carried, possible(joint, vectors, elements, load), drive, gains)
+    drive = _Drive(command, 1.0, bends, scale, on, *gains_of_none, period, stamps, step)
+    least = load.copy()
+    least[:, LOAD_INERTIA] += (weights @ columns[:, 0]).min(axis=1)
+    valid = possible(joint, vectors, elements, least)
+    return _Loop(elements, load, carried, valid, drive, gains, weights, columns)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -124,9 +133,18 @@ def _with_gains(drive: _Drive, gains: Array) -> _Drive:
         gains[4],
         gains[3],
         drive.period,
-        drive.begin,
+        drive.time,
         drive.longest,
     )
+
+
+@njit(cache=True, error_model="numpy")
+def _of_load(weights: Array, columns: Array) -> Array:
+    """Inertia and torque of the load ``(2, N)`` by further columns, at coefficients ``(c,)``."""
+    out = np.zeros(columns.shape[1:])
+    for c in range(columns.shape[0]):
+        out += weights[c] * columns[c]
+    return out
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -155,15 +173,19 @@ def _over_sample(
     qd: float,
     push: float,
     push_rate: float,
+    of_load: Array,
     out: Array,
     counts: Index,
 ) -> tuple[float, float]:
     """Move the joint from sample ``i`` to the next of a segment ``first`` to ``last``.
 
-    ``push`` is a torque in addition at the sample, and its change over it. NaN if it runs away.
+    ``push`` is a torque in addition at the sample, and its change over it; ``of_load`` ``(2, N)``
+    the load's inertia and torque. NaN if it runs away.
     """
     torque = np.empty(2)
     j = min(i + 1, drive.scale.shape[0] - 1)
+    inertia = 0.5 * (of_load[0, i] + of_load[0, j])
+    pull = 0.5 * (of_load[1, i] + of_load[1, j])
     # where a held target changes; what passes between samples bends there, which a mean allows for
     knot = drive.delay - math.floor(drive.delay) if drive.held else 0.0
     for part in range(2):
@@ -197,8 +219,9 @@ def _over_sample(
                     c0 = c1 = regime * drive.limit
                 torque[0] = on * scale0 * c0 + push + now * push_rate
                 torque[1] = on * scale1 * c1 + push + end * push_rate
-                looped = fed_back(plant, on * plant.gain * stiffness, on * plant.gain * damping)
-                time, h = drive.begin + (i + now) * drive.period, (end - now) * drive.period
+                feedback = on * plant.gain
+                looped = fed_back(plant, feedback * stiffness, feedback * damping, inertia, pull)
+                time, h = drive.time[i] + now * drive.period, (end - now) * drive.period
                 if integrate(looped, torque, h, time, True, q, qd, 1, out, counts) < 2:
                     return math.nan, math.nan
                 q1, qd1 = out[POSITION, 1], out[SPEED, 1]
@@ -237,7 +260,7 @@ def follow(
     *,
     push: ArrayLike | None = None,
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    begin: float = 0.0,
+    time: Array | None = None,
     step: float = 2e-3,
 ) -> tuple[Array, Array]:
     """Simulate the joint while a drive follows its command, restarted in every segment ``(K, 2)``.
@@ -249,7 +272,7 @@ def follow(
     pieces = np.asarray(segments, dtype=np.int64)
     rows = np.zeros((1, law.command.size)) if push is None else push
     q, qd = _follow(
-        *_loop(joint, vectors, law, float(period), pieces, inputs, float(begin), float(step)),
+        *_loop(joint, vectors, law, float(period), pieces, inputs, time, float(step)),
         np.ascontiguousarray(rows, dtype=np.float64),
         pieces,
         np.asarray(q0, dtype=np.float64),
@@ -266,6 +289,8 @@ def _follow(
     valid: Flags,
     drive: _Drive,
     gains: Array,
+    weights: Array,
+    columns: Array,
     pushes: Array,
     segments: Index,
     q0: Array,
@@ -280,6 +305,7 @@ def _follow(
             continue
         plant = plant_of(elements, loads, carried, v)
         looped = _with_gains(drive, gains[v])
+        of_load = _of_load(weights[v], columns)
         push = pushes[v if pushes.shape[0] > 1 else 0]
         out, counts = np.empty((4, 2)), np.zeros(2, dtype=np.int64)
         a, b = segments[k]
@@ -288,7 +314,9 @@ def _follow(
             q_out[v, i], qd_out[v, i] = q, qd
             if i < b - 1 and not np.isnan(q):
                 rate = push[i + 1] - push[i]
-                q, qd = _over_sample(plant, looped, i, a, b - 1, q, qd, push[i], rate, out, counts)
+                q, qd = _over_sample(
+                    plant, looped, i, a, b - 1, q, qd, push[i], rate, of_load, out, counts
+                )
     return q_out, qd_out
 
 
@@ -315,7 +343,7 @@ def innovations(
     stride: int = 1,
     push: ArrayLike | None = None,
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    begin: float = 0.0,
+    time: Array | None = None,
     step: float = 5e-3,
 ) -> tuple[Array, Array]:
     """Predict every encoder reading from the ones before it, for parameter vectors ``(n, d)``.
@@ -345,7 +373,7 @@ def innovations(
     pieces = np.asarray(segments, dtype=np.int64)
     rows = np.broadcast_to(0.0 if push is None else push, (len(vectors), position.size))
     error, variance = _innovations(
-        *_loop(joint, vectors, law, float(period), pieces, inputs, float(begin), float(step)),
+        *_loop(joint, vectors, law, float(period), pieces, inputs, time, float(step)),
         np.ascontiguousarray(noise, dtype=np.float64),
         np.ascontiguousarray(rows, dtype=np.float64),
         pieces,
@@ -365,6 +393,8 @@ def _innovations(
     valid: Flags,
     drive: _Drive,
     gains: Array,
+    weights: Array,
+    columns: Array,
     noise: Array,
     pushes: Array,
     segments: Index,
@@ -381,6 +411,7 @@ def _innovations(
             continue
         plant = plant_of(elements, loads, carried, v)
         looped = _with_gains(drive, gains[v])
+        of_load = _of_load(weights[v], columns)
         error, variance = errors[v], variances[v]
         for k in range(segments.shape[0]):
             a, b = segments[k]
@@ -389,6 +420,7 @@ def _innovations(
                 looped,
                 noise[v],
                 pushes[v],
+                of_load,
                 a,
                 b,
                 y,
@@ -421,6 +453,7 @@ def _filter(
     drive: _Drive,
     noise: Array,
     known: Array,
+    of_load: Array,
     first: int,
     end: int,
     y: Array,
@@ -435,8 +468,6 @@ def _filter(
     x, p, root = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
     points, gain = np.zeros((6, 3)), np.zeros(3)
     out, counts = np.empty((4, 2)), np.zeros(2, dtype=np.int64)
-    inertia = motor_torque(plant, 0.0, 0.0, 1.0, 0.0, 0.0)
-    inertia -= motor_torque(plant, 0.0, 0.0, 0.0, 0.0, 0.0)
     # in units of the measured torque, at the gains that the law was read with
     unit, slow = drive.factor, noise[SLOW_TORQUE] * drive.factor
     base = noise[ENCODER] ** 2 + rounding**2
@@ -446,7 +477,7 @@ def _filter(
     p[0, 0], p[1, 1] = base, (0.3 * speed) ** 2 + base / period**2
     p[2, 2] = slow**2
     keeps = math.exp(-period / noise[SLOW_TIME])
-    kick = (plant.gain * noise[WHITE_TORQUE] * unit / inertia) ** 2 * period
+    random = plant.gain * noise[WHITE_TORQUE] * unit
     run = 1
     for k in range(first, end):
         if k > first and (k - first) % stride == 0 and compared[k]:
@@ -482,6 +513,7 @@ def _filter(
                     x[1] + shift * root[1, i],
                     push + known[k],
                     known[k + 1] - known[k],
+                    of_load,
                     out,
                     counts,
                 )
@@ -494,6 +526,10 @@ def _filter(
                 for r in range(6):
                     s += (points[r, i] - x[i]) * (points[r, j] - x[j])
                 p[i, j] = p[j, i] = s / 6.0
+        moved = fed_back(plant, 0.0, 0.0, of_load[0, k], 0.0)
+        inertia = motor_torque(moved, 0.0, 0.0, 1.0, 0.0, 0.0)
+        inertia -= motor_torque(moved, 0.0, 0.0, 0.0, 0.0, 0.0)
+        kick = (random / inertia) ** 2 * period
         p[2, 2] += slow**2 * (1.0 - keeps**2)
         p[1, 1] += kick
         p[0, 1] += 0.5 * kick * period

@@ -167,7 +167,12 @@ def forward_tables(
     """Lay parameter vectors out for the forward model; a delay is no term of it."""
     elements, load, values = joint.tables(vectors, inputs)
     all_terms = joint.carried_terms(inputs)
-    columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
+    columns = [
+        k
+        for k, term in enumerate(all_terms)
+        if term.row.column is not None
+        and (term.row.option != "signals" or term.row.signal in inputs.others)
+    ]
     if not columns:
         return elements, load, None
     terms = [all_terms[k] for k in columns]

@@ -68,6 +68,7 @@ class Plant(NamedTuple):
     # what a drive takes off the torque per position and speed of the joint, N m/rad and N m s/rad
     stiffness: float
     damping: float
+    pull: float  # torque on the load that is known at this time, N m or N at the joint
 
 
 class State(NamedTuple):
@@ -110,17 +111,21 @@ def plant_of(all_elements: Array, loads: Array, carried: Carried | None, vector:
         np.empty((elements.shape[0], 2)),
         0.0,
         0.0,
+        0.0,
     )
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def fed_back(plant: Plant, stiffness: float, damping: float) -> Plant:
-    """Return the joint under a drive that takes so much off the torque by position and speed."""
+def fed_back(plant: Plant, stiffness: float, damping: float, inertia: float, pull: float) -> Plant:
+    """Return the joint under a drive that takes so much off the torque by position and speed.
+
+    Its load has so much inertia and torque in addition.
+    """
     return Plant(
         plant.elements,
         plant.gain,
         plant.offset,
-        plant.inertia,
+        plant.inertia + inertia,
         plant.weight,
         plant.angle,
         plant.kinks,
@@ -130,6 +135,7 @@ def fed_back(plant: Plant, stiffness: float, damping: float) -> Plant:
         plant.lines,
         stiffness,
         damping,
+        pull,
     )
 
 
@@ -177,7 +183,9 @@ def _load_torque(plant: Plant, q: float, qd: float, sign: float, time: float) ->
     carried = _carried_torque(
         plant.carried, plant.vector, plant.elements.shape[0], 1.0, q, qd, sign, time
     )
-    return float(plant.weight * math.sin(q + plant.angle) + carried)
+    if plant.weight == 0.0:
+        return float(plant.pull + carried)
+    return float(plant.weight * math.sin(q + plant.angle) + plant.pull + carried)
 
 
 @njit(cache=True, error_model="numpy")

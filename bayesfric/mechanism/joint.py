@@ -38,7 +38,7 @@ from bayesfric.mechanism.quantities import (
     parameter,
 )
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.measurement import AT_ROOM, Inputs
+from bayesfric.recordings.measurement import ACCELERATION, AT_ROOM, Inputs
 
 
 class Tables(NamedTuple):
@@ -77,6 +77,8 @@ class Joint:
     delay: bool | None = None  # whether the position's delay is unknown (drive.delay)
     by_target: bool = False  # torque from a position target, whose delay it is (target.delay)
     smoothness: bool = False  # whether a target's passage between samples is (target.smoothness)
+    # whether torques of the load by further columns have columns of their inertia, too
+    own_inertia: bool = False
     made_from: str = ""  # name of the preset
     terms: tuple[Term, ...] = ()  # custom terms; see with_term
 
@@ -191,9 +193,11 @@ class Joint:
     def closed_loop(self) -> bool:
         """Whether its motion can be predicted from targets alone, which stand for the torque.
 
-        A torque of the load that is computed from the recorded motion would follow it, not move it.
+        A torque of the load that is computed from the recorded motion would follow it, not move
+        it, unless its part by the joint's own acceleration is known.
         """
-        return self.by_target and not any(q.signal for q in self.load.quantities)
+        computed = any(q.signal for q in self.load.quantities)
+        return self.by_target and (self.own_inertia or not computed)
 
     def drive_gains(self, values: Array) -> tuple[Array, Array]:
         """Return kp over the one the law was read with, and what kd comes on top of the law's.
@@ -255,6 +259,31 @@ class Joint:
         if inputs is None or inputs.load_torque is None:
             return self.carried
         return (*self.carried, CarriedTerm(-1, len(self.elements), 1.0, PUSH))
+
+    def load_columns(
+        self, values: Array, inputs: Inputs, time: Array
+    ) -> tuple[Array, Array, Inputs]:
+        """Split torques of the load by further columns into inertia and torque without it.
+
+        Returns coefficients ``(n, c)`` of vectors ``(n, n_parameters)``, inertia and torque
+        ``(c, 2, N)`` at times ``(N,)``, and what is left of the inputs.
+        """
+        terms = [t for t in self.carried_terms(inputs) if inputs.inertia_of(t.row.signal)]
+        weights, columns = np.ones((len(values), len(terms))), np.zeros((len(terms), 2, time.size))
+        acceleration = inputs.signal(ACCELERATION)
+        for c, term in enumerate(terms):
+            inertia = inputs.inertia_of(term.row.signal)
+            assert inertia is not None
+            assert acceleration is not None
+            if term.index >= 0:
+                weights[:, c] = values[:, term.index]
+            columns[c, 0] = inertia.at(time)
+            columns[c, 1] = along(term.row, 1.0, time, 0.0 * time, time, inputs)
+            columns[c, 1] -= columns[c, 0] * acceleration.at(time)
+        split = {term.row.signal for term in terms}
+        others = {name: x for name, x in inputs.others.items() if name not in split}
+        pushed = None if "load_torque" in split else inputs.load_torque
+        return weights, columns, replace(inputs, others=others, load_torque=pushed)
 
     @property
     def unseen_inertia(self) -> tuple[str, ...]:

@@ -54,7 +54,11 @@ def prepare(
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
     measurements = _read_all(config, chain, recordings)
-    chain = replace(chain, by_target=all(r.feedback is not None for r in measurements))
+    chain = replace(
+        chain,
+        by_target=all(r.feedback is not None for r in measurements),
+        own_inertia=all(r.inputs.inertia_of("load_torque") for r in measurements),
+    )
     _check_method(config, chain)
     if chain.by_target and chain.delay is None:
         # drives react late to their target, which looks like viscous friction

@@ -166,6 +166,17 @@ class Inputs:
             return signal
         return self.others.get(name, steady(0.0))
 
+    def inertia_of(self, name: str) -> Signal | None:
+        """Look up the further column ``NAME inertia``.
+
+        A torque by the column NAME holds it times :data:`ACCELERATION`, where there are both.
+        """
+        return self.others.get(f"{name} inertia")
+
+    def is_of_load(self, name: str) -> bool:
+        """Whether a further column is an inertia or the acceleration of computed torques."""
+        return name == ACCELERATION or name.endswith(" inertia")
+
     def each(self, change: Callable[[Signal], Signal]) -> Inputs:
         """Change every recorded signal."""
         measured = {key: getattr(self, key) for key in ("temperature", "load_torque")}
@@ -187,6 +198,8 @@ class Inputs:
         return self.added_mass * self.radius**2, self.added_mass * self.radius
 
 
+# Further column of the acceleration along which torques of other columns were computed.
+ACCELERATION = "acceleration"
 # Inputs at constant speed and room temperature.
 AT_ROOM = Inputs(torque_rate=steady(0.0), temperature=steady(ROOM))
 

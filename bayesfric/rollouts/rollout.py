@@ -173,7 +173,7 @@ def _simulate(
             o.qd[start],
             push=None if disturbance is None else disturbance[rows],
             inputs=replace(o.inputs, recording=offsets[k]) if new else o.inputs,
-            begin=float(m.time[0]),
+            time=m.time,
         )
     if chain.delay and not chain.by_target:  # the motion is recorded late
         for row, delay in enumerate((chain.delays(values) / m.period).tolist()):

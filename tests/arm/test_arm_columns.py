@@ -9,6 +9,7 @@ from bayesfric.arm.arm_options import ArmOptions
 from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import draft_configuration
+from bayesfric.recordings.units import OPEN
 
 from . import bench
 from .bench import ELBOW, SHOULDER
@@ -122,3 +123,31 @@ def test_init_writes_each_joints_columns_and_never_sends_to_itself(tmp_path):
     path = log(tmp_path / "log.csv", "p1p2e1e2", ["t", "a_pos", "b_pos", "a_effort", "b_effort"])
     draft = draft_configuration("arm", path, None, urdf=tmp_path / "arm.urdf")
     assert {"recording.position", "recording.torque"} <= draft["open"].keys()
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "time,observation.state[{}],action[{}]",
+        "time,{}_position_rad,{}_goal_position_rad",
+        "time,dof_pos[{}],des_dof_pos[{}]",
+        "time_s,position[{}],target[{}]",
+    ],
+)
+def test_targets_stand_for_efforts_that_a_log_lacks(tmp_path, pattern):
+    """What remains open are the gains, without which nothing is fitted."""
+    known, (time, *columns) = joints("joint_1", "joint_2"), pattern.split(",")
+    labels = range(2) if "dof" in pattern else known
+    names = [time, *(column.format(label) for column in columns for label in labels)]
+    path = log(tmp_path / "log.csv", "p1p2e1e2", names)
+    layout, _ = recognised_layout(path, known, {})
+    for k, name in enumerate(known):
+        assert layout[name]["position"]["column"] == names[1 + k]
+        target = layout[name]["target"]
+        assert (target["column"], target["kp"], target["kd"]) == (names[3 + k], OPEN, OPEN)
+    with pytest.raises(BadInput):
+        layout_of(path, known, ArmOptions())
+    (tmp_path / "arm.urdf").write_text(bench.urdf())
+    draft = draft_configuration("arm", path, None, urdf=tmp_path / "arm.urdf")
+    assert "recording.target" in draft["open"]
+    assert "torque = " not in draft["text"].partition("[urdf]")[0].partition("# or")[0]

@@ -1,13 +1,16 @@
 """The filter of the closed loop, against an exact Kalman filter of a linear joint."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from bayesfric.mechanism.closed_loop import innovations
+from bayesfric.mechanism.closed_loop import follow, innovations
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.measurement import Law
+from bayesfric.recordings.measurement import ACCELERATION, Inputs, Law, Signal
 
 PERIOD, N = 5e-3, 300
 INERTIA, VISCOUS, KP, KD, LATE = 0.02, 0.05, 4.0, 0.1, 7e-3
@@ -75,3 +78,56 @@ def test_a_linear_joint_has_the_kalman_filter(stride):
     wanted_error, wanted_variance = exact(target, y, stride)
     np.testing.assert_allclose(variance[0], wanted_variance, rtol=1e-6)
     np.testing.assert_allclose(error[0], wanted_error, atol=1e-8)
+
+
+@pytest.mark.parametrize("computed", ["load_torque", "arm"])
+def test_an_inertia_by_a_column_is_an_inertia(computed):
+    """A torque that is an inertia times the recorded acceleration is no torque, but inertia."""
+    rng = np.random.default_rng(4)
+    time, y = PERIOD * np.arange(N), 1e-3 * rng.standard_normal(N).cumsum()
+    law = Law(KP * np.sin(7.0 * time), np.ones(N), KP, KD, held=True)
+    noise, more = np.array([[SLOW, TAU, WHITE, ENCODER, INSTANTS]]), 0.03
+    recorded = rng.standard_normal(N)
+    columns = {ACCELERATION: recorded, f"{computed} inertia": np.full(N, more)}
+    columns |= {"arm": more * recorded} if computed == "arm" else {}
+    pushed = Signal(time, -more * recorded) if computed == "load_torque" else None
+    inputs = Inputs(load_torque=pushed, others={k: Signal(time, x) for k, x in columns.items()})
+    numbers = {"motor.inertia": INERTIA, "motor.viscous": VISCOUS, "target.delay": LATE}
+    signals = ("arm",) if computed == "arm" else ()
+    joint = replace(JOINT, load=Load(signals=signals), own_inertia=True)
+    outcomes = [
+        innovations(
+            chain, chain.vector(values)[None], noise, law, PERIOD, [(0, N)], y, np.ones(N, bool),
+            resolution=RESOLUTION, inputs=known, time=time,
+        )
+        for chain, values, known in (
+            (joint, numbers | ({"load.arm": 1.0} if signals else {}), inputs),
+            (JOINT, numbers | {"motor.inertia": INERTIA + more}, Inputs()),
+        )
+    ]  # fmt: skip
+    np.testing.assert_allclose(outcomes[0], outcomes[1], rtol=1e-9, atol=1e-12)
+
+
+def test_a_joint_follows_its_target_under_a_changing_load():
+    """Inertia and torque of the load that change with time, against SciPy's integrator."""
+    time = PERIOD * np.arange(N)
+    inertia, torque = 0.02 + 0.01 * np.sin(5.0 * time), 0.5 * np.cos(3.0 * time)
+    columns = {ACCELERATION: 0.0 * time, "load_torque inertia": inertia}
+    inputs = Inputs(
+        load_torque=Signal(time, -torque), others={k: Signal(time, x) for k, x in columns.items()}
+    )
+    values = JOINT.vector({"motor.inertia": INERTIA, "motor.viscous": VISCOUS, "target.delay": 0.0})
+    law = Law(KP * np.sin(7.0 * time), np.ones(N), KP, KD, held=False)
+    q, _ = follow(
+        replace(JOINT, own_inertia=True), values[None], law, PERIOD, [(0, N)], [0.0], [0.0],
+        inputs=inputs, time=time,
+    )  # fmt: skip
+
+    def motion(t, x):
+        aim = np.interp(t, time, law.command) - KP * x[0] - (KD + VISCOUS) * x[1]
+        total = INERTIA + np.interp(t, time, inertia)
+        return x[1], (aim - np.interp(t, time, torque)) / total
+
+    wanted = solve_ivp(motion, (0.0, time[-1]), (0.0, 0.0), t_eval=time, rtol=1e-8, max_step=1e-3)
+    # the load is held at its mean over each sample
+    np.testing.assert_allclose(q[0], wanted.y[0], atol=1e-4 * np.ptp(wanted.y[0]))
