@@ -21,8 +21,7 @@ SMALL_SHARE, LARGE_SHARE = 0.02, 1 / 3
 # Cut-off of the parallel filter over half the decimated rate at which white noise comes out white
 # (correlations of outputs below 0.003). At that half itself intervals were 5 % too narrow.
 _WHITE = 1.0983
-# The most that rounding to whole samples makes of it, where 1.5 are rounded to 2 (neighbours then
-# have -0.2); and the least that is not warned of, where they have 0.3.
+# The most that rounding to whole samples makes of it, and the least that is not warned of.
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Widest band over the sampling rate.
 WIDEST = 0.05
@@ -114,18 +113,12 @@ def differentiator(reach: int) -> Array:
     return weights
 
 
-def reach_of(
-    how: Literal["exact", "central"],
-    cutoff: float,
-    fs: float,
-    *,
-    shortest: int = 4,
-    longest: int = 24,
-) -> int:
+def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
     """Choose the neighbours on either side of a derivative: one for ``central`` differences.
 
-    Else so many that its gain is right within 1e-4 up to the cut-off; ``shortest`` without (0).
+    Else four to 24, so that its gain is right within 1e-4 up to the cut-off; four without (0).
     """
+    shortest, longest = 4, 24
     if how == "central":
         return 1
     w = 2.0 * np.pi * cutoff / fs

@@ -57,8 +57,7 @@ def divide(
     Ends are cut off before anything is filtered, behind a gap of one window and ten outputs, so
     that their torque does not leak into the fit. They get the dead zone of the fitted part.
     """
-    names = [r.name for r in recordings]
-    where = "validation.recordings"
+    names, where = [r.name for r in recordings], "validation.recordings"
     for name in validation.recordings:
         if name not in names:
             raise BadInput(where, f"no recording is called {name!r}", nearest(name, names))

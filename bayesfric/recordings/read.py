@@ -175,7 +175,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     motor_speed = np.zeros(joint.shape) if speed is None else speed
     by_speed = channel.sign == "by-speed"
     if speed is None and (law.back_emf or law.kd or by_speed):
-        motor_speed = _differentiated(joint, grid, processing)
+        fs = 1.0 / grid.period
+        cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
+        smooth = filters.lowpass(joint, grid.segments, fs, cutoff, processing.order)
+        reach = filters.reach_of(processing.differentiation, cutoff, fs)
+        motor_speed = filters.derivative(smooth, grid.segments, grid.period, reach)
     if by_speed:
         law = replace(law, command=law.command * np.sign(drive.ratio * motor_speed))
         torque_step += ", positive where it drives"
@@ -412,17 +416,15 @@ def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
     return first, last
 
 
-def _count_warnings(
-    source: Columns, table: Table, chosen: slice, *, levels: int = 20
-) -> Iterator[str]:
-    """Warn of whole numbers in a unit that is not counted in, of more than a few ``levels``."""
+def _count_warnings(source: Columns, table: Table, chosen: slice) -> Iterator[str]:
+    """Warn of whole numbers in a unit that is not counted in, of more than a few levels."""
     measured_in = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
     for key, channel in source.channels.items():
         if channel.unit not in measured_in or channel.times is not None or key == "temperature":
             continue
         values = table.column(channel.column)[chosen]
         scaled = isinstance(channel, Torque) and channel.constant
-        if not scaled and np.all(values == np.round(values)) and np.unique(values).size > levels:
+        if not scaled and np.all(values == np.round(values)) and np.unique(values).size > 20:
             counted = "thousandths" if key == "time" else "encoder counts, or thousandths"
             yield f"{key}: all numbers are whole: are they {counted}, not {channel.unit}?"
 
@@ -580,15 +582,6 @@ def _gain(
     if not isinstance(text, str) and not rises:
         raise BadInput(where, f"{list(text)} is no range", "give two gains of one unit that rise")
     return *ends[0], ends[-1][1]
-
-
-def _differentiated(position: Array, grid: Grid, processing: Processing) -> Array:
-    """Differentiate the low-passed position ``(n,)`` of the joint."""
-    fs = 1 / grid.period
-    cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
-    smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
-    reach = filters.reach_of(processing.differentiation, cutoff, fs)
-    return filters.derivative(smooth, grid.segments, grid.period, reach)
 
 
 def _law_step(law: Law, position: Array, speed: Array, *, measured: bool) -> str:

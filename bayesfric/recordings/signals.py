@@ -222,14 +222,10 @@ def _prepare(
 
 
 def choose_filters(
-    recording: Measurement,
-    processing: Processing,
-    resolution: filters.Resolution | None = None,
-    *,
-    least: int = 10,
+    recording: Measurement, processing: Processing, resolution: filters.Resolution | None = None
 ) -> _Design:
-    """Resolve the settings; ``least`` samples go at the ends of a segment and of a standstill."""
-    fs = 1 / recording.period
+    """Resolve the settings."""
+    fs, least = 1 / recording.period, 10  # samples, at the ends of a segment and of a standstill
     where = f"recording '{recording.name}'"
     cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
     if band is not None:
@@ -506,7 +502,7 @@ def _step_sentences(design: _Design, recording: Measurement, settings: Settings)
 # A position that is late by ``d`` belongs to the torque of ``d`` before, to first order near ``d0``
 # ``y(t - d0) - (d - d0) y'(t - d0)``. So ``y(t - d0) + d0 y'(t - d0)`` is compared with a model
 # that has the additional term ``d y'(t - d0)``, linear in the delay, up to second order.
-# Of a torque from a target, the target acts late: ``y(t - d)`` is the torque with that target.
+# Of a torque from a target, the target acts late.
 
 
 def timed(o: Signals, recording: Measurement, delay: float) -> Signals:

@@ -219,9 +219,7 @@ class Columns(Options):
         None, description="Sampling rate in Hz, or '1 kHz', if there is no time channel."
     )
     position: Position | None = Field(
-        None,
-        description="The position channel; without it 'velocity' is integrated, and the mechanism "
-        "may hold nothing that depends on the position.",
+        None, description="The position; without it 'velocity' is integrated, for no term of it."
     )
     velocity: Velocity | None = Field(
         None, description="The velocity channel, in place of the differentiated position."
@@ -235,9 +233,7 @@ class Columns(Options):
         "the torque where none was recorded. Beside it, a roll-out closes the loop.",
     )
     load_torque: Channel | None = Field(
-        None,
-        description="Torque (or force) on the load from outside, as a dynamometer measures it, "
-        "positive towards higher positions.",
+        None, description="Torque on the load from outside, positive towards higher positions."
     )
     temperature: Channel | None = Field(
         None, description="The joint's temperature, in 'degC' or 'K'."
@@ -246,9 +242,7 @@ class Columns(Options):
         (), description="Further columns, as of other joints, that may explain the torque."
     )
     steady: bool = Field(
-        False,
-        description="true: every row is a point at constant speed, as of a friction curve, in any "
-        "order: speed and torque, no time.",
+        False, description="true: every row is a point at constant speed, of velocity and torque."
     )
     start: Seconds | None = Field(None, description="Leave out what lies before, s from the first.")
     stop: Seconds | None = Field(None, description="Leave out what lies after, s from the first.")
@@ -256,9 +250,7 @@ class Columns(Options):
         (), description="Spans [start, stop], s from the first stamp, not compared with the model."
     )
     valid: str | int | None = Field(
-        None,
-        description="Column that is 0 or false where the torque is not what the motor gave; such "
-        "samples are not compared.",
+        None, description="Column that is 0 or false where the torque is not what the motor gave."
     )
     added_mass: Kilograms = Field(0.0, description="Known mass added for the recording, kg.")
     radius: Metres = Field(0.0, description="Distance of the added mass from the axis, m.")
@@ -361,23 +353,16 @@ class Processing(Options):
     )
     differentiation: Literal["exact", "central"] = Field(
         "exact",
-        description="'exact': right within 1e-4 up to the low-pass; 'central': differences of the "
-        "two neighbours, as in published analyses.",
+        description="'exact' up to the low-pass, or 'central' differences, as in publications.",
     )
     dead_zone: float | str | None = Field(
-        None,
-        description="Joint speed below which a sample is not used, SI or '1 deg/s'; 1 % of the "
-        "99th percentile if left out; 0 for none.",
+        None, description="Joint speed that is at rest; 1 % of the 99th percentile if left out."
     )
     rest: bool = Field(
-        False,
-        description="true: at rest the torque lies within static friction to either side; false: "
-        "such samples are left out, as all below the dead zone.",
+        False, description="true: samples at rest are used, as bounds of the static friction."
     )
     trim: Seconds | None = Field(
-        None,
-        description="Cut from both ends of every segment, s; if left out the longer of 10 samples "
-        "and one period of the low-pass.",
+        None, description="Cut off each segment's ends, s; by samples and low-pass if left out."
     )
 
     @property
@@ -444,8 +429,7 @@ class Recording:
         side
             Of position and velocity; may be left out only if the gear ratio is 1.
         **keys
-            ``velocity``, ``current``, ``voltage``, ``target`` and ``valid``, arrays of shape
-            (n,); and what else there is to say.
+            ``velocity``, ``current``, ``target``, ``valid`` ..., shape (n,); and all other keys.
         """
         keys |= {"time": time, "position": position, "torque": torque}
         keys |= {k: {"value": x} for k, x in keys.items() if k in CHANNELS and np.isscalar(x)}
