@@ -24,7 +24,9 @@ def test_the_simulated_joint_is_a_damped_oscillator(study):
 @pytest.mark.slow
 def test_a_servo_again(study):
     row, number = "servo, 160 counts", 101
-    before = next(x for x in committed("motion_only/motion_only.json")[row] if x["number"] == number)
+    before = next(
+        x for x in committed("motion_only/motion_only.json")[row] if x["number"] == number
+    )
     again = study.fitted(row, number)
     assert again["numbers"].keys() == before["numbers"].keys()
     for name, x in again["numbers"].items():
