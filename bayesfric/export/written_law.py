@@ -68,7 +68,9 @@ class Traced(NDArrayOperatorsMixin):
 def _formula(x: Any) -> float | str:
     if isinstance(x, Traced):
         return x.formula
-    if np.ndim(x) == 0 and np.asarray(x).dtype.kind in "biuf":  # np.ones_like(...), too
+    if isinstance(x, np.ndarray) and x.ndim == 0:  # np.ones_like(...)
+        x = x.item()
+    if isinstance(x, int | float | np.integer | np.floating):
         return float(x)
     raise Unwritten(type(x).__name__)
 
