@@ -19,6 +19,7 @@ STUDIES: dict[str, list[str]] = {
     "calibration/whole_path.py": [],
     "calibration/motion.py": [],
     "identified/identified.py": [],
+    "motion_only/motion_only.py": [],
     "closed_loop/closed_loop.py": [],
     "rabbit_knee/monte_carlo.py": [],
     "replication/replication.py": [],

@@ -62,9 +62,9 @@ def common_timing(models: Mapping[str, Model], progress: ProgressCallback) -> Ti
         steps = np.full(mode.mode.size, 1e-3)
         _, information = slope_and_information(target, mode.mode, steps)
         sds = np.sqrt(np.diag(np.linalg.inv(information)))
-        here, there = target.to_parameters(mode.mode + np.stack([0.0 * sds, 1e-3 * sds]))[0]
+        centre, moved = target.to_parameters(mode.mode + np.stack([0.0 * sds, 1e-3 * sds]))[0]
         joints[name] = {
-            key: (float(here[k]), float(abs(there[k] - here[k]) / 1e-3))
+            key: (float(centre[k]), float(abs(moved[k] - centre[k]) / 1e-3))
             for key in (_DELAY, _INSTANTS)
             if (k := names.index(key) if key in names else -1) >= 0
         }
@@ -132,9 +132,9 @@ def followed(
             mass, bias = (np.array(x) for x in zip(*along, strict=True))
             before = motion[0].copy()
             for j, name, (push, *_) in zip(driven, fits, noise, strict=True):
-                own = mass[:, j, j]
+                own_inertia = mass[:, j, j]
                 torque = bias[:, j] + np.einsum("nj,jn->n", mass[:, j], motion[2])
-                columns = {"load_torque inertia": own, ACCELERATION: motion[2, j]}
+                columns = {"load_torque inertia": own_inertia, ACCELERATION: motion[2, j]}
                 others = {key: Signal(log.time, x) for key, x in columns.items()}
                 inputs = Inputs(load_torque=Signal(log.time, -torque), others=others)
                 law, chain = measured[name].law, fits[name].chain

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import implausible
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.recognition import named, recognise, target_of
+from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.source import CHANNELS, SI
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
@@ -116,11 +117,26 @@ def recognised_layout(
         notes += [problem for problem in recognised.problems if problem not in notes]
     if all(document.keys().isdisjoint(_DRIVES) for document in layout.values()):
         for name, label in labels.items():
-            if target := target_of(table, label):
+            if target := _target_of(table, label):
                 column, unit = target
                 gains = {"kp": OPEN, "kd": OPEN}
                 layout[name]["target"] = {"column": column, "unit": unit or OPEN, **gains}
     return layout, notes
+
+
+def _target_of(table: Table, joint: str) -> tuple[str, str] | None:
+    """Find the column of the target position of a joint as labelled in a log, and its unit."""
+    for name in table.names:
+        meaning = named(f"position {name}")
+        if not (meaning.wanted and meaning.channel == "position"):
+            continue
+        keys = [name, *(f"{name}[{k}]" for k in range(64))]
+        for key in keys if meaning.joint != joint else [name]:
+            if (meaning := named(f"position {key}")).joint == joint:
+                with suppress(BadInput):
+                    table.values(key)
+                    return key, meaning.unit
+    return None
 
 
 def _matched(

@@ -4,7 +4,7 @@ By least squares each joint has a Gaussian likelihood of the deviations ``z`` of
 factor ``1 + a`` of its effort, and of the share ``b`` of gravity that its effort lacks. A departure
 from a right log and URDF adds variance to some of these, of a scale with a half-Cauchy prior [1]_.
 Kinds of departure are a priori equally likely, together as likely as none, and so are the joints or
-numbers of a kind. The departures of the largest posterior density are taken, step by step.
+numbers of a kind. The departures of the largest posterior density are included, step by step.
 
 A delay is that of all joints: a joint's model that lacks a term makes one of any sign and size, so
 the joints' are combined with the scatter between them (random effects [2]_).
@@ -62,25 +62,25 @@ class Departure(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Departures:
-    """The departures taken, and factors of the torque of the bodies with their sds."""
+    """The departures included, and factors of the torque of the bodies with their sds."""
 
-    taken: tuple[Departure, ...]
+    included: tuple[Departure, ...]
     alternatives: tuple[Departure, ...]  # in addition or in place of one, not much less likely
     joints: Mapping[str, tuple[float, float]]  # of those whose effort may have another scale
     bodies: tuple[float, float]  # of all together, by joints whose effort has none
-    scales: Mapping[str, float]  # of efforts, taken
+    scales: Mapping[str, float]  # of efforts
     gravity: Vector
     widths: Array  # (n_deviations,) factors on standard deviations
 
     @property
     def changes(self) -> bool:
         """Whether the models change."""
-        return any(departure.kind != "payload" for departure in self.taken)
+        return any(departure.kind != "payload" for departure in self.included)
 
     @property
     def without_gravity(self) -> bool:
         """Whether efforts hold no gravity."""
-        return Departure("gravity") in self.taken
+        return Departure("gravity") in self.included
 
     def doubted(self, name: str, result: Result) -> Result:
         """Doubt the numbers of a joint that the scale of its effort multiplies."""
@@ -89,7 +89,7 @@ class Departures:
         summary, scaled = result.summary, ("motor.", "offset")
         of = [x for x in summary.parameters if x.startswith(scaled) and ".load" not in x]
         factor, sd = self.joints[name]
-        alone = any(x.name == name for x in (*self.taken, *self.alternatives))
+        alone = any(x.name == name for x in (*self.included, *self.alternatives))
         doubt = {"kind": "effort-scale", "parameters": of, "factor": factor, "sd": sd}
         doubt["where"] = "" if alone else " at all joints"
         doubt["cause"] = "another unit, a gear ratio, or other bodies"
@@ -118,8 +118,7 @@ def _likelihood(
     """Estimate a joint's likelihood of ``(a, k deviations, b)``: information and vector.
 
     ``gravity`` ``(n,)`` is the torque of the bodies at rest along the motion of each log. Of the
-    friction a law is taken to lack the share ``lacking`` (rms), independently from one reversal to
-    the next.
+    friction a law lacks the share ``lacking`` (rms), independently from one reversal to the next.
     """
     torques, losses, measured, strokes = [], [], [], 1
     for o, log, still in zip(observations, logs, gravity, strict=False):
@@ -186,11 +185,11 @@ class Evidence:
     def _odds(self, kind: str) -> float:
         return -math.log(len(self.columns) * max(len(self.columns[kind]), 1))
 
-    def posterior(self, taken: Sequence[Departure]) -> tuple[float, Array, Array]:
+    def posterior(self, included: Sequence[Departure]) -> tuple[float, Array, Array]:
         """Log of evidence and prior of departures; mean and covariance of the coefficients."""
-        size, log_prior = len(self.vector), sum(self._odds(kind) for kind, *_ in taken)
+        size, log_prior = len(self.vector), sum(self._odds(kind) for kind, *_ in included)
         mean, parts = np.zeros(size), [np.eye(size)[:, : self.known]]
-        for kind, name, scale in taken:
+        for kind, name, scale in included:
             if kind == "gravity":
                 mean += self.columns[kind][name][:, 0]
             else:
@@ -205,14 +204,14 @@ class Evidence:
         covariance = root @ np.linalg.solve(precision, root.T)
         return evidence + log_prior, mean + root @ solution, covariance
 
-    def added(self, taken: tuple[Departure, ...]) -> Iterator[tuple[float, Departure]]:
+    def added(self, included: tuple[Departure, ...]) -> Iterator[tuple[float, Departure]]:
         """Try each further departure at its likeliest scale: as :meth:`posterior`, and which."""
-        value, mean, covariance = self.posterior(taken)
+        value, mean, covariance = self.posterior(included)
         score = self.vector - self.information @ mean
         marginal = self.information - self.information @ covariance @ self.information
         for kind, of_kind in self.columns.items():
             for name, x in of_kind.items():
-                if any(departure[:2] == (kind, name) for departure in taken):
+                if any(departure[:2] == (kind, name) for departure in included):
                     continue
                 along, across = x.T @ score, x.T @ marginal @ x
                 gains: Array = along - across[0] / 2.0
@@ -230,25 +229,25 @@ class Evidence:
     def likeliest(self) -> tuple[tuple[Departure, ...], tuple[Departure, ...]]:
         """Add and drop departures until none is better; and the likeliest others of each kind.
 
-        Data favour these, too, in addition to those taken or in place of one.
+        Data favour these, too, in addition to those included or in place of one.
         """
-        taken, value = tuple[Departure, ...](), self.posterior(())[0]
+        included, value = tuple[Departure, ...](), self.posterior(())[0]
         while True:
-            rests = [tuple(x for x in taken if x is not each) for each in taken]
+            rests = [tuple(x for x in included if x is not each) for each in included]
             options = [(self.posterior(rest)[0], rest) for rest in rests]
-            options += [(v, (*taken, departure)) for v, departure in self.added(taken)]
+            options += [(v, (*included, departure)) for v, departure in self.added(included)]
             best, option = max(options, key=lambda each: each[0])
             if best <= value + 1e-9:
                 break
-            value, taken = best, option
+            value, included = best, option
         alternatives = dict[str, Departure]()
-        for kind, rest in (("", taken), *zip([x.kind for x in taken], rests, strict=True)):
+        for kind, rest in (("", included), *zip([x.kind for x in included], rests, strict=True)):
             without = self.posterior(rest)[0]
             for v, departure in sorted(self.added(rest)):
                 least = max(value + math.log(_LEAST), without + self._odds(departure.kind))
                 if v > least and departure.kind != kind:
                     alternatives[departure.kind] = departure
-        return taken, tuple(alternatives.values())
+        return included, tuple(alternatives.values())
 
 
 def find_departures(
@@ -277,8 +276,8 @@ def find_departures(
         "body": {prior.deviations[k][0]: unit[:, [k]] for k in range(1, of_links)},
     }
     evidence = Evidence(information, vector, count if payload else of_links, columns)
-    taken, alternatives = evidence.likeliest()
-    _, mean, covariance = evidence.posterior(taken)
+    included, alternatives = evidence.likeliest()
+    _, mean, covariance = evidence.posterior(included)
 
     def factor(at: Sequence[int], *, of_efforts: bool) -> tuple[float, float]:
         """Factor of the torque of the bodies at some joints, and its sd."""
@@ -292,22 +291,22 @@ def find_departures(
             n for n in names if any(x[:2] in (("effort", n), ("efforts", "")) for x in departures)
         ]
 
-    alone = [each.name for each in taken if each.kind == "effort"]
+    alone = [each.name for each in included if each.kind == "effort"]
     together = [j for name, j in numbers.items() if name not in alone]
     variances = np.ones(count)
-    for kind, name, scale in taken:
+    for kind, name, scale in included:
         if kind in ("bodies", "body"):
             variances += scale**2 * columns[kind][name][:count].sum(axis=1)
     return Departures(
-        taken,
+        included,
         alternatives,
         {
             name: factor([numbers[name]] if name in alone else together, of_efforts=True)
-            for name in scaled((*taken, *alternatives))
+            for name in scaled((*included, *alternatives))
         },
         factor(together, of_efforts=False) if together else (1.0, 0.0),
-        {name: float(1.0 + mean[numbers[name]]) for name in scaled(taken)},
-        (0.0, 0.0, 0.0) if Departure("gravity") in taken else bodies.gravity,
+        {name: float(1.0 + mean[numbers[name]]) for name in scaled(included)},
+        (0.0, 0.0, 0.0) if Departure("gravity") in included else bodies.gravity,
         np.sqrt(variances),
     )
 

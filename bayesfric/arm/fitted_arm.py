@@ -360,7 +360,7 @@ class FittedArm:
             "physical": consistency.physical,
             "width": float(np.max(self.prior.widths)),
             "factor": dict(zip(("value", "sd"), self.departures.bodies, strict=True)),
-            "departures": [x._asdict() for x in self.departures.taken],
+            "departures": [x._asdict() for x in self.departures.included],
             "alternatives": [x._asdict() for x in self.departures.alternatives],
             "causes": consistency.deviations(self.prior),
             "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),

@@ -154,8 +154,8 @@ def _effects(
         pushed, _ = likelihood.errors(np.tile(values, (len(z), 1)), noise, pushes)[r]
         error, variance = still[r]
         blocks.append(-((pushed - error[0]) / np.sqrt(variance[0])).T / unit * z.any(axis=1))
-    effects, own = np.split(np.concatenate(blocks), [len(keys)], axis=1)
-    return keys, np.concatenate(torques), effects, own
+    effects, of_terms = np.split(np.concatenate(blocks), [len(keys)], axis=1)
+    return keys, np.concatenate(torques), effects, of_terms
 
 
 def _simulated(

@@ -17,7 +17,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State, TypicalSizes
 from bayesfric.recordings.arrays import Array, Segments, rms
 from bayesfric.recordings.filters import derivative, lowpass
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import ACCELERATION, Measurement
 from bayesfric.recordings.signals import Signals
 
 # Terms of the load that a transmission carries, without friction.
@@ -82,7 +82,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Signals]) -> S
         name
         for o in observations
         for name in o.inputs.others
-        if not (chain.own_inertia and o.inputs.is_of_load(name))
+        if not (chain.own_inertia and (name == ACCELERATION or name.endswith(" inertia")))
     )
     return Scales(
         speed=float(np.quantile(np.abs(of_outputs([o.qd for o in observations])), 0.95)),

@@ -32,7 +32,7 @@ from bayesfric.recordings.arrays import Array
 # Independent draws that suffice: ends of a 90 % interval to a tenth of a standard deviation.
 ENOUGH = 300
 # Largest number of draws, and the share of them that counts below which they are not trusted.
-MOST, EFFICIENT = 4000, 0.1
+MAX_DRAWS, EFFICIENT = 4000, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,7 @@ def _with_loop_doubt(
     chain, law = likelihood.chain, likelihood.recordings[0].law
     assert law is not None
     shape, flat = draws.shape[:-1], draws.reshape(-1, draws.shape[-1])
-    factor, more = chain.drive_gains(target.chain_values(flat))
+    factor, extra_kd = chain.drive_gains(target.chain_values(flat))
     scale = float(law.scale.mean())
     back, lag = (
         size * np.abs(rng.standard_normal(len(flat))) * (known is None)
@@ -168,7 +168,7 @@ def _with_loop_doubt(
     )
     lost = {
         "viscous": scale * factor * law.kp * back / 2.0,
-        "inertia": scale * (law.kd + more) * (back / 2.0 + lag),
+        "inertia": scale * (law.kd + extra_kd) * (back / 2.0 + lag),
     }
     for quantity, torque in lost.items():
         owners = [n.rpartition(".")[0] for n in target.free if n.rpartition(".")[2] == quantity]
@@ -234,7 +234,7 @@ def score(
     start: Array,
     spread: Array,
     *,
-    most: int = 30,
+    max_steps: int = 30,
     on_step: Callable[[float], None] = lambda _: None,
 ) -> Array:
     """Climb from coordinates ``(d,)`` to the mode by Fisher scoring.
@@ -242,7 +242,7 @@ def score(
     ``spread`` ``(d,)`` is the prior's, the longest step.
     """
     u, height, damping, small = start, float(target(start[None])[0]), 1e-3, 0
-    for _ in range(most):
+    for _ in range(max_steps):
         on_step(height)
         gradient, information = slope_and_information(target, u, 1e-4 * spread, central=False)
         size = np.sqrt(np.diag(information))
@@ -303,7 +303,7 @@ def draw(
     *,
     scaled: tuple[Sequence[int], int] = ((), 0),
     enough: int = ENOUGH,
-    most: int = MOST,
+    max_draws: int = MAX_DRAWS,
     progress: ProgressCallback = no_progress,
 ) -> tuple[Posterior, float]:
     """Draw from the posterior; return it, and the share of the draws that counts.
@@ -325,11 +325,11 @@ def draw(
     while True:
         effective = 1.0 / float(np.sum(weights**2)) if weights.size else 0.0
         progress(Progress("sampling", len(draws), effective, 1.0))
-        if effective >= enough or len(draws) >= most:
+        if effective >= enough or len(draws) >= max_draws:
             break
         # a few to learn the shape from, then as many as are wanted at the efficiency so far
         number = max(20 * d, int(1.2 * (enough - effective) / max(share, 0.05)))
-        number = min(number, max(20 * d, len(draws)), most - len(draws))
+        number = min(number, max(20 * d, len(draws)), max_draws - len(draws))
         ratios = np.concatenate([ratios, new := proposals[-1].draw(number, random)])
         new = new.copy()
         new[:, columns] *= new[:, by : by + 1]

@@ -101,8 +101,7 @@ def sample(
     block = max(block, 10)
     # BLAS threads contend on small matrices: seven times slower on two busy cores
     with threadpool_limits(1, "blas"):
-        # short blocks adapt sooner: half the steps, on four recordings and the demo
-        settled = _warm_up(sampler, move, min(block, 25), settings, progress)
+        settled = _warm_up(sampler, move, block, settings, progress)
         states = sampler.draws(sampler.steps // 2)
         # precompute the likelihood where the posterior lies
         target = target.precomputed(states[:: max(1, len(states) // 500)])

@@ -266,10 +266,10 @@ def acceleration(
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(plant: Plant, q: float, time: float) -> tuple[float, float]:
     """Motor torques between which the joint at rest sticks, a drive's share at rest on top."""
-    taken = plant.stiffness * q
+    spring = plant.stiffness * q
     return (
-        motor_torque(plant, q, 0.0, 0.0, -1.0, time) + taken,
-        motor_torque(plant, q, 0.0, 0.0, 1.0, time) + taken,
+        motor_torque(plant, q, 0.0, 0.0, -1.0, time) + spring,
+        motor_torque(plant, q, 0.0, 0.0, 1.0, time) + spring,
     )
 
 

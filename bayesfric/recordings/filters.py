@@ -221,11 +221,6 @@ class ParallelFilter:
     used: Array  # (N,) 1 for samples that count and 0 for others
     gains: Array  # (M,)
 
-    @classmethod
-    def every_sample(cls, n: int) -> ParallelFilter:
-        """Make the filter whose outputs are the ``n`` samples."""
-        return cls(np.ones(1), np.arange(n, dtype=np.int64), np.ones(n), np.ones(n))
-
     @property
     def n_outputs(self) -> int:
         """Number of outputs M."""

@@ -167,15 +167,8 @@ class Inputs:
         return self.others.get(name, steady(0.0))
 
     def inertia_of(self, name: str) -> Signal | None:
-        """Look up the further column ``NAME inertia``.
-
-        A torque by the column NAME holds it times :data:`ACCELERATION`, where there are both.
-        """
+        """Look up the column ``NAME inertia``; NAME's torque holds it times ``ACCELERATION``."""
         return self.others.get(f"{name} inertia")
-
-    def is_of_load(self, name: str) -> bool:
-        """Whether a further column is an inertia or the acceleration of computed torques."""
-        return name == ACCELERATION or name.endswith(" inertia")
 
     def each(self, change: Callable[[Signal], Signal]) -> Inputs:
         """Change every recorded signal."""

@@ -602,11 +602,8 @@ def _law_step(law: Law, position: Array, speed: Array, *, measured: bool) -> str
 
 def _sha256(source: Columns, table: Table) -> str:
     """SHA-256 of the columns used."""
-    digest = hashlib.sha256()
-    for column in source.columns:
-        digest.update(f"{column}\0".encode())
-        digest.update(table.values(column).astype("<f8").tobytes())
-    return digest.hexdigest()
+    parts = (f"{c}\0".encode() + table.values(c).astype("<f8").tobytes() for c in source.columns)
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def _named_files(source: Source, folder: Path) -> list[tuple[Path, str]]:

@@ -133,8 +133,8 @@ class Effort(Channel):
     )
     held: bool | None = Field(
         None,
-        description="true: a command that the drive holds until the next sample; false: it passes "
-        "in a line. Left out: a line; of a target without a torque a parameter, target.smoothness.",
+        description="true: the drive holds a command until the next sample; false: it passes there "
+        "in a line; left out: a line, and of a target alone target.smoothness.",
     )
 
     @model_validator(mode="before")

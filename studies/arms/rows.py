@@ -134,7 +134,7 @@ def one_arm(folder: Path, row: dict, seed: int, *, fit: bool) -> dict:
     departures, late = prepared.departures, prepared.late
     record = {
         "seed": seed,
-        "departures": [[*x] for x in departures.taken],
+        "departures": [[*x] for x in departures.included],
         "alternatives": [[*x] for x in departures.alternatives],
         "scaled": {name: [*x] for name, x in departures.joints.items()},
         "factor": [*departures.bodies],

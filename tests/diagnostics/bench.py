@@ -9,6 +9,7 @@ import bayesfric as bf
 from bayesfric.diagnostics.statistics import Layout
 from bayesfric.estimates import autoregression as ar
 from bayesfric.fit.model import Model
+from bayesfric.recordings.filters import ParallelFilter
 from tests.axis import recording_of
 
 TRUTH = {
@@ -96,3 +97,8 @@ def dense_covariance(autocorrelation, layout):
             wave = np.cos(np.pi * k * (t - t[0]) / span) / np.sqrt(k)
             block += autocorrelation.drift**2 * np.outer(wave, wave)
     return block_diag(*blocks)
+
+
+def every_sample(n):
+    """Filter whose outputs are the ``n`` samples."""
+    return ParallelFilter(np.ones(1), np.arange(n), np.ones(n), np.ones(n))

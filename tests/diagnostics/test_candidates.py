@@ -17,11 +17,12 @@ from bayesfric.diagnostics.motion import (
     since_reversal,
 )
 from bayesfric.diagnostics.statistics import TARGET_DELAY
-from bayesfric.recordings.filters import ParallelFilter, derivative, lay_windows, lowpass
+from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import Inputs, Signal
 from bayesfric.recordings.signals import FAR_DELAYS
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
+from tests.diagnostics.bench import every_sample
 
 PERIOD, N, RATIO, G = 0.002, 3000, 10.0, 9.80665
 LINES = ((0.31, 1.1), (0.9, 0.3), (2.1, 0.1))
@@ -100,7 +101,7 @@ def test_scales_are_those_of_all_recordings_together():
 def test_waves_are_those_that_the_motion_completes(ratio):
     motor = bf.Element("motor", inertia=True, ratio=ratio)
     chain = bf.Joint([motor], bf.Load(first_moment=True))
-    time, windows = PERIOD * np.arange(N), ParallelFilter.every_sample(N)
+    time, windows = PERIOD * np.arange(N), every_sample(N)
     sides = {"motor": ratio, "joint": 1.0} if ratio > 1.0 else {"joint": 1.0}
     for span in (0.2, 2.5):
         motion = swing(time, ((0.5, span / 2.0),))
@@ -115,7 +116,7 @@ def test_waves_are_those_that_the_motion_completes(ratio):
 
 def test_a_sliding_joint_has_no_waves():
     screw = bf.Joint([bf.Element("motor", inertia=True, motion="linear")], bf.Load(motion="linear"))
-    time, windows = PERIOD * np.arange(N), ParallelFilter.every_sample(N)
+    time, windows = PERIOD * np.arange(N), every_sample(N)
     motion = swing(time, ((0.5, 9.0),))
     o = made_observation("one", time, motion, time, windows, PERIOD, Inputs(), settings=FILTERS)
     scales, recording = scales_of(screw, np.ones(1), [o]), made_recording(time, o.q, time, PERIOD)
@@ -294,7 +295,7 @@ def test_a_smoothed_log_lacks_the_reversals_of_friction(hertz):
     whole = ((0, N),)
     o = made_observation(
         "one", time, (q, qd, qdd), lowpass(torque, whole, 500.0, hertz, 4),
-        ParallelFilter.every_sample(N), PERIOD, Inputs(), settings=FILTERS,
+        every_sample(N), PERIOD, Inputs(), settings=FILTERS,
     )  # fmt: skip
     values = np.array([0.05, 0.3])
     scales = scales_of(chain, values, [o])

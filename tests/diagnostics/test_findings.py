@@ -15,11 +15,10 @@ from bayesfric.diagnostics.motion import MotionSignals, scales_of
 from bayesfric.diagnostics.regression import Finding
 from bayesfric.estimates.point_estimate import HALF as MOVES
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs, Signal
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
-from tests.diagnostics.bench import axis
+from tests.diagnostics.bench import axis, every_sample
 
 EFFECT = Finding(
     "quadratic", "note", shape="0.5", statistic=6.0, p=0.04, share=0.1,
@@ -148,7 +147,7 @@ SETTINGS = [
 @pytest.mark.parametrize(("name", "chain"), SETTINGS)
 def test_the_line_that_a_finding_gives_adds_its_candidates_columns(name, chain):
     """Each is a sum of what moves the torque of the new configuration's joint."""
-    windows = ParallelFilter.every_sample(TIME.size)
+    windows = every_sample(TIME.size)
     settings = {"lowpass": 0.0, "order": 2, "reach": 8, "band": 12.0}
     o = made_observation("one", TIME, MOTION, TIME, windows, 0.002, WARM, settings=settings)
     values = np.array([VALUES.get(p.quantity, 0.0) for p in chain.parameters])
