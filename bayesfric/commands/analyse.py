@@ -92,7 +92,7 @@ def advise(
     if path and path.exists() and not force:
         hint = "name another file with -o, or replace it with --force"
         raise BadInput(str(path), "exists already", hint)
-    unit = "N m" if model.chain.motor_motion == "rotary" else "N"
+    unit = model.chain.torque_unit
     ranking = model.advise(name, progress=progress)
     written = str(path) if path and ranking.worth else None
     if path and written:

@@ -524,7 +524,7 @@ def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
         residual_rms=rms(error),
         n_outputs=error.size,
         assumption=assumption,
-        residual_unit="N m" if joint.motor_motion == "rotary" else "N",
+        residual_unit=joint.torque_unit,
         notes=(note, *_scale_notes(problem, information)),
         point=tuple(zip(joint.names, values.tolist(), strict=True)),
     )

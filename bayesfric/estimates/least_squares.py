@@ -110,7 +110,7 @@ def least_squares(
         residual_rms=rms(residual),
         n_outputs=torque.size,
         assumption=assumption,
-        residual_unit="N m" if joint.motor_motion == "rotary" else "N",
+        residual_unit=joint.torque_unit,
     )
 
 

@@ -13,17 +13,15 @@ import numpy as np
 
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import check_output_folder, jsonable, new_folder
-from bayesfric.base.errors import BadInput
-from bayesfric.export.formats import Format, body_of, filled, format_of, omitted, put_into
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.export.formats import Format, body_of, filled, formats, omitted, put_into
 from bayesfric.export.joint_model import (
     LINK_AND_DRIVE,
     LOSSES,
     NUMBERS,
     Numbers,
     Trajectory,
-    motor_unit,
     number_of,
-    of_recording,
     simulated_torque,
     simulator_numbers,
     stacked,
@@ -32,7 +30,7 @@ from bayesfric.export.joint_model import (
     unit_of,
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
-from bayesfric.export.programs import Program, program_of, programs
+from bayesfric.export.programs import Program, programs
 from bayesfric.export.written_law import law
 from bayesfric.fit.model import Result
 from bayesfric.fit.result import result_of
@@ -109,8 +107,12 @@ def export(
         If there is no such format or option, the joint has a term that the format cannot take, or
         the folder exists already or cannot be written.
     """
-    form, run = format_of(to), result_of(posterior)
-    reader = None if program is None else program_of(program, to)
+    if to not in formats():
+        raise BadInput("--to", f"there is no format {to!r}", nearest(to, formats()))
+    form, run, readers = formats()[to], result_of(posterior), programs().get(to, {})
+    if program is not None and program not in readers:
+        problem = f"no file of the format {to} was tried in {program!r}"
+        raise BadInput("--for", problem, nearest(program, readers))
     if into is not None and to != "mujoco":
         raise BadInput("--into", f"has no effect in the format {to}", "leave it out")
     if draws is not None and not 1 <= draws <= len(run.draws):
@@ -118,8 +120,8 @@ def export(
         raise BadInput("--draws", problem, "reduce it, or fit with more steps")
     if not re.fullmatch(r"[\w./-]+", joint):
         raise BadInput("--joint", f"{joint!r} is no name", "use letters, digits, _ - . /")
-    if reader is not None:
-        form = form.without(reader.unused)
+    reader = None if program is None else readers[program]
+    form = form.without(reader.unused) if reader else form
     exported = export_to(form, run, reader, joint, None if into is None else Path(into), draws)
     if output is not None:
         check_output_folder(Path(output), force=force, marker="export.json")
@@ -169,7 +171,7 @@ def export_to(
     shown = {k: x for k, x in form.names.items() if into is None or x not in LINK_AND_DRIVE}
     record: dict[str, Any] = {
         "bayesfric": __version__, "run": run.name, "format": form.name, "meaning": form.meaning,
-        "joint": name, "unit": motor_unit(joint), "draws": len(vectors.draws),
+        "joint": name, "unit": joint.torque_unit, "draws": len(vectors.draws),
         "central": vectors.kind, "lost": lost,
         "numbers": number_rows(run, vectors, shown, fitted, made_from, at_least),
         "error": {"motor": motor, "torque_rms": motor["torque_rms"], "at_pace": paces},
@@ -196,7 +198,10 @@ def export_to(
     }  # fmt: skip
     record["notes"] = filled("notes.txt.j2", **content).splitlines()
     remarks = filled("remarks.txt.j2", **record).splitlines()
-    content["remarks"] = [_harmless(line) for line in remarks]
+    # remarks hold names of folders and recordings, which must not end a comment
+    lines = ("".join(filter(str.isprintable, x)).replace("\\", "/") for x in remarks)
+    lines = (x.replace('"', "'").replace("*/", "* /").replace("--", "- -") for x in lines)
+    content["remarks"] = [*lines]
     files = {
         file.format(stem=content["stem"]): filled(template, **content)
         for file, template in {**form.files, **(law_files if written else {})}.items()
@@ -237,7 +242,9 @@ def lost_terms(
             made_from[name].append(p.name)
         row = {"parameters": [p.name], "value": float(vector[k]), "unit": p.unit}
         row |= {"meaning": p.meaning, "fitted": [x for x in changed if x in form.carried]}
-        if of_recording(p) or (form.complete and omitted(p.row)):
+        # a delay, or the separate offset of one recording
+        of_recording = p.quantity == "delay" or (p.owner == "" and p.name != "offset")
+        if of_recording or (form.complete and omitted(p.row)):
             lost.append({"kind": "left out", **row})
         elif not form.complete and number_of(p) not in form.carried and not _is_shape(p):
             torque = rms(law_torque[0] - law_torque[1 + k])
@@ -260,10 +267,7 @@ def number_rows(
     made_from: Mapping[str, list[str]],
     at_least: bool,
 ) -> list[dict[str, Any]]:
-    """Tabulate numbers by the ``names`` of a format, with intervals and parameters.
-
-    ``at_least`` is whether static friction is a lower limit, by standstill.
-    """
+    """Tabulate numbers by the ``names`` of a format; ``at_least`` is for static friction."""
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
     unusable, rows = run.summary.sampler.status == "unusable", []
     for attribute, number in names.items():
@@ -284,31 +288,26 @@ def number_rows(
 
 def _status(run: Result, name: str, vectors: ParameterVectors) -> str:
     """Give the reported status of a parameter, or where its scale is chosen the worst of totals."""
-    quantities, table = [name], run.summary.parameters
+    quantities, rows = [name], run.summary.rows
     if any(name in scaling.names for scaling in vectors.scalings):
         # only motor-side totals can be identified
         row = next(p.row for p in run.joint.parameters if p.name == name)
         kinds = (*(row.totals or (row.name,)), *(row.by_direction or ()))
         quantities = [f"total_{side}.{kind}" for side in ("drive", "back") for kind in kinds]
-        table = run.summary.derived
-    statuses = (table[x].reported.status for x in quantities if x in table)
+    statuses = (rows[x].reported.status for x in quantities if x in rows)
     return max(statuses, key=ORDER.index, default="identified")
 
 
 def in_program(
     program: Program, joint: Joint, point: Array, numbers: Numbers, motions: Sequence[Trajectory]
 ) -> dict[str, Any]:
-    """Say what a program makes of the numbers, in motor torque along the recorded motion.
-
-    ``numbers`` are those of the format, ``(1,)`` each, for the parameters ``point`` ``(1, d)``.
-    """
+    """Say what a program makes of a format's numbers, in motor torque along recorded motion."""
     factors, refused = program.changes(name for name, x in numbers.items() if x.any())
     row: dict[str, Any] = {"program": program.name, "version": program.version}
     row |= {"refuses": refused, "at_joint": "gain" in factors, "changed": []}
-    read = {name: factor * numbers[name] for name, factor in factors.items()}
     adds = {name: x for name, x in program.adds.items() if not numbers[name].any()}
-    read |= {name: numbers[name] + x for name, x in adds.items()}
-    read = {name: x for name, x in read.items() if name not in ("gain", "torque_offset")}
+    acting = [name for name in (*factors, *adds) if name not in ("gain", "torque_offset")]
+    read = {x: factors.get(x, 1.0) * numbers[x] + adds.get(x, 0.0) for x in acting}
     if read and not refused:
         written = simulated_torque(joint, numbers, motions)
         for name, x in read.items():
@@ -319,9 +318,3 @@ def in_program(
         law_torque = torque_along(joint, point, motions)
         row["error"] = rms(simulated_torque(joint, numbers | read, motions) - law_torque)
     return row
-
-
-def _harmless(remark: str) -> str:
-    """Keep a remark, which may hold names of folders and recordings, from ending a comment."""
-    printable = "".join(c for c in remark if c.isprintable())
-    return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")

@@ -88,36 +88,27 @@ def formats() -> Mapping[str, Format]:
     return known
 
 
-def format_of(name: str) -> Format:
-    """Look up a format."""
-    if name not in formats():
-        raise BadInput("--to", f"there is no format {name!r}", nearest(name, formats()))
-    return formats()[name]
+_TEMPLATES = environment("bayesfric.export")
+# the shortest text that is read back as the same number
+_TEMPLATES.filters["n"] = lambda x: repr(float(x))
 
 
 def filled(template: str, **values: Any) -> str:
     """Fill a template of this folder."""
-    return str(_environment().get_template(template).render(**values))
-
-
-@cache
-def _environment() -> Any:
-    jinja = environment("bayesfric.export")
-    # the shortest text that is read back as the same number
-    jinja.filters["n"] = lambda x: repr(float(x))
-    return jinja
+    return _TEMPLATES.get_template(template).render(**values)
 
 
 def body_of(numbers: Mapping[str, float], rotary: bool) -> dict[str, Any]:
     """Choose a rigid body for a joint: it turns about y with gravity along -z, or slides along x.
 
-    Its ``mass``, centre ``com`` where the joint is at zero, inertia ``about_axis`` of the joint
-    through that centre and ``across``; the ``armature`` left for the joint; its ``inertia`` about
-    the joint. Torque identifies inertia and first moment ``ml`` about the joint, not mass and
-    distance: half of the inertia ``I`` is that of the mass at its distance. Where the inertia is
-    identified only together with the rotor's, a link with weight is given nearly all of it, as the
-    lightest pendulum weighs ``(ml)²/I`` and smaller shares make it heavier; one without is a
-    placeholder of 0.1 kg, as simulators want a mass.
+    Torque identifies inertia and first moment ``ml`` about the joint, not mass and distance: half
+    of the inertia ``I`` is that of the mass at its distance. Where the inertia is identified only
+    together with the rotor's, a link with weight is given nearly all of it, as the lightest
+    pendulum weighs ``(ml)²/I`` and smaller shares make it heavier; one without is a placeholder of
+    0.1 kg, as simulators want a mass.
+
+    ``com`` is the centre where the joint is at zero, ``about_axis`` and ``across`` are inertias
+    through it, ``inertia`` is about the joint, ``armature`` what is left for the joint.
     """
     inertia, armature = numbers["link_inertia"], numbers["armature"]
     moment, angle = numbers["link_moment"], numbers["link_gravity_angle"]
@@ -148,9 +139,7 @@ def put_into(path: Path, name: str, model: str) -> str:
         ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise BadInput(where, f"is no XML ({error})", "name an MJCF file") from None
-    own = ElementTree.fromstring(model).find(".//joint")
-    assert own is not None
-    wanted = {k: own.get(k) for k in ("armature", "damping", "frictionloss", "stiffness")}
+    own = next(ElementTree.fromstring(model).iter("joint")).attrib
     uncommented = re.sub(r"<!--.*?-->", lambda x: " " * len(x[0]), text, flags=re.DOTALL)
     joints: dict[str, list[tuple[int, int]]] = {}  # positions of tags by name
     for tag in re.finditer(rf"<joint(\s+{_ATTRIBUTE})*\s*/?>", uncommented):
@@ -161,7 +150,8 @@ def put_into(path: Path, name: str, model: str) -> str:
         problem = f"has {'several joints' if name in joints else 'no joint'} {name!r}"
         raise BadInput(where, problem, nearest(name, sorted(joints)))
     ((start, end),) = joints[name]
-    left = {key: x for key, x in wanted.items() if x is not None}
+    wanted = ("armature", "damping", "frictionloss", "stiffness")
+    left = {key: own[key] for key in wanted if key in own}
 
     def changed(x: re.Match[str]) -> str:
         return f'{x[1]}{x[2]}"{left.pop(x[1])}"' if x[1] in left else x[0]

@@ -5,12 +5,11 @@ With ``v`` the joint's speed and ``s`` its sign, a simulator's joint obeys
 ``gain * measured - torque_offset = (armature + link_inertia) a + damping v + quadratic v|v|
 + friction s + weight of link_moment at q + link_gravity_angle + stiffness q + stiffness_cubic q³``
 
-``gain`` is the joint's torque per measured motor torque. Numbers that a joint has in this form are
-exact: each element's, times powers of its speed over the joint's. Load-dependent friction passes
-``(1 + mu_1) T`` while the motor drives and ``(1 - mu_2) T`` while the load does. Everything is
-divided by the mean of both factors, so that the link keeps its own inertia and the motor's torque
-is that much smaller. Whatever else the law has is fitted by least squares over the recorded motion
-with the loss numbers that a format has, none below zero.
+Numbers that a joint has in this form are exact: each element's, times powers of its speed over the
+joint's. Load-dependent friction passes ``(1 + mu_1) T`` while the motor drives and ``(1 - mu_2) T``
+while the load does. Everything is divided by the mean of both factors, so that the link keeps its
+own inertia and the motor's torque is that much smaller. Whatever else the law has is fitted by
+least squares over the recorded motion with the loss numbers that a format has, none below zero.
 
 BAM (Rhoban/bam, ``bam/model.py``) in addition has ``(load_friction + load_rise low) |external -
 motor| s + rise low s`` with ``low = exp(-(|v|/rise_speed)^rise_exponent)`` and both torques at the
@@ -56,9 +55,8 @@ NUMBERS: Mapping[str, tuple[str, str, str]] = {
     "rise_speed": ("rad/s", "m/s", "speed at which the rise has fallen to 1/e"),
     "rise_exponent": ("", "", "exponent of speed in the rise"),
 }
-# Numbers that only BAM has, and those that depend on the load.
+# Numbers that only BAM has.
 OF_BAM = ("load_friction", "rise", "load_rise", "rise_speed", "rise_exponent")
-_OF_LOAD = ("load_friction", "load_rise")
 # Of link and drive, which a format of joints leaves to the surrounding model.
 LINK_AND_DRIVE = ("link_inertia", "link_moment", "link_gravity_angle", "gain", "torque_offset")
 # Numbers that are fitted to what else the law has.
@@ -94,16 +92,9 @@ class Trajectory:
 
 
 def torque_along(joint: Joint, values: Array, motions: Sequence[Trajectory]) -> Array:
-    """Compute the measured motor torque of ``(n, d)`` vectors along all motions, ``(n, M)``.
-
-    Without the delay, a property of the recording.
-    """
+    """Compute the motor torque of ``(n, d)`` vectors along motions, ``(n, M)``, without delay."""
     values = np.where([name == joint.delay_name for name in joint.names], 0.0, values)
-    parts = [
-        inverse_torque(joint, values, m.q, m.qd, m.qdd, inputs=m.inputs, time=m.time)
-        for m in motions
-    ]
-    return np.concatenate(parts, axis=1)
+    return np.concatenate([inverse_torque(joint, values, **vars(m)) for m in motions], axis=1)
 
 
 def stacked(motions: Sequence[Trajectory]) -> Array:
@@ -120,19 +111,9 @@ def thinned(motions: Sequence[Trajectory], samples: int = 20_000) -> list[Trajec
     ]
 
 
-def motor_unit(joint: Joint) -> str:
-    """Name the unit of the motor's torque."""
-    return "N m" if joint.motor_motion == "rotary" else "N"
-
-
 def unit_of(number: tuple[str, str, str], joint: Joint) -> str:
     """Name the unit of a row of :data:`NUMBERS` for a joint."""
-    return number[joint.load.motion != "rotary"].format(motor_unit(joint))
-
-
-def of_recording(p: Parameter) -> bool:
-    """Whether it is a property of recordings: a delay, or the separate offset of one."""
-    return p.quantity == "delay" or (p.owner == "" and p.name != "offset")
+    return number[joint.load.motion != "rotary"].format(joint.torque_unit)
 
 
 def number_of(p: Parameter) -> str:
@@ -143,7 +124,6 @@ def number_of(p: Parameter) -> str:
 
 def exact_numbers(joint: Joint, values: Array) -> Numbers:
     """Compute the numbers that vectors ``(n, d)`` of a joint have in a simulator's form."""
-    column = dict(zip(joint.names, values.T, strict=True))
     numbers = {name: np.zeros(len(values)) for name in NUMBERS}
     elements = joint.tables(values).elements
     drive, back = (kernels.ELEMENT_SLOTS.index(f"load_{way}") for way in ("drive", "back"))
@@ -152,8 +132,8 @@ def exact_numbers(joint: Joint, values: Array) -> Numbers:
     passed = np.cumprod(factors[:, ::-1], axis=1)[:, ::-1]
     owners = [element.name for element in joint.elements]
     numbers["gain"] += joint.ratio / passed[:, 0]
-    for p in joint.parameters:
-        number, amount = number_of(p), column[p.name]
+    for p, amount in zip(joint.parameters, values.T, strict=True):
+        number = number_of(p)
         if number == "gain":
             numbers[number] *= amount
         elif number == "torque_offset":
@@ -170,11 +150,7 @@ def exact_numbers(joint: Joint, values: Array) -> Numbers:
 def simulator_numbers(
     joint: Joint, values: Array, motions: Sequence[Trajectory], carried: Collection[str]
 ) -> Numbers:
-    """Compute the numbers of a format that has those ``carried``, for vectors ``(n, d)``.
-
-    Exact where the joint is what the format can express; what is left of the law along the
-    recorded motion is fitted by the losses that the format has.
-    """
+    """Compute the numbers of a format that has those ``carried``, for vectors ``(n, d)``."""
     numbers = exact_numbers(joint, values)
     slot = dict(zip(kernels.ELEMENT_SLOTS, joint.tables(values).elements.T, strict=True))
     rising = np.abs(slot["stribeck_ratio"]) + np.abs(slot["stribeck_load_ratio"])
@@ -194,7 +170,9 @@ def simulator_numbers(
     numbers |= {name: np.zeros(len(values)) for name in LOSSES if name not in losses}
     if losses:
         basis = np.stack(np.broadcast_arrays(*(columns[name] for name in losses)), axis=-1)
-        fitted = nonnegative_fit(basis, law - free)
+        axes, triangles = np.linalg.qr(basis)
+        projected = ((law - free)[:, None] @ axes)[:, 0]
+        fitted = np.array([nnls(triangles[i % len(basis)], y)[0] for i, y in enumerate(projected)])
         # an exact law leaves rounding only
         size = 1e-12 * np.abs(law).max(axis=1, initial=0.0)
         for k, name in enumerate(losses):
@@ -205,47 +183,30 @@ def simulator_numbers(
         static = numbers["gain"] * standstill_friction(joint, values, motions)
         numbers["static_friction"] = np.maximum(static, numbers["friction"])
     # armature goes into a link, and a spring that stiffens into the line nearest to it
-    slope = float(q @ q**3) / (float(q @ q) or 1.0)
-    for name, instead, share in (
-        ("armature", "link_inertia", 1.0),
-        ("stiffness_cubic", "stiffness", slope),
-    ):
-        if name not in carried:
-            numbers[instead] = numbers[instead] + share * numbers[name]
+    if "armature" not in carried:
+        numbers["link_inertia"] += numbers["armature"]
+    if "stiffness_cubic" not in carried:
+        numbers["stiffness"] += float(q @ q**3) / (float(q @ q) or 1.0) * numbers["stiffness_cubic"]
     return {name: x if name in carried else 0.0 * x for name, x in numbers.items()}
 
 
-def nonnegative_fit(columns: Array, torques: Array) -> Array:
-    """Fit coefficients of zero or more ``(n, k)`` of columns ``(1 or n, M, k)`` to ``(n, M)``."""
-    q, r = np.linalg.qr(columns)
-    projected = (torques[:, None] @ q)[:, 0]
-    return np.array([nnls(r[i % len(r)], y)[0] for i, y in enumerate(projected)])
-
-
 def standstill_friction(joint: Joint, values: Array, motions: Sequence[Trajectory]) -> Array:
-    """Measured friction of vectors as speed vanishes, the mean along recorded positions, ``(n,)``.
-
-    Half of what torque changes by as the motion turns.
-    """
-    backward, forward = (
-        torque_along(
-            joint, values, [replace(m, qd=v + 0.0 * m.qd, qdd=0.0 * m.qdd) for m in motions]
-        )
-        for v in (-1e-200, 1e-200)
-    )
+    """Half of what torque changes by as speed turns, the mean of recorded positions, ``(n,)``."""
+    v = 1e-200
+    creep = [replace(m, qd=s * v + 0.0 * m.qd, qdd=0.0 * m.qdd) for s in (-1, 1) for m in motions]
+    backward, forward = np.split(torque_along(joint, values, creep), 2, axis=1)
     half = 0.5 * (forward - backward).mean(axis=1)
     return np.where(half > 1e-100, half, 0.0)  # viscous friction of that speed is none
 
 
 def simulated_torque(joint: Joint, numbers: Numbers, motions: Sequence[Trajectory]) -> Array:
-    """Compute the measured motor torque of a simulator's joint, ``(n, M)``, N m or N.
+    """Compute the motor torque ``(n, M)`` of a simulator's joint, N m or N.
 
-    Static friction has no effect on it. Known masses and torques on the load of ``joint`` are on
-    that of the simulator, too.
+    Static friction has no effect on it; known masses and torques on the load of ``joint`` have.
     """
     free, external = _without_losses(joint, numbers, motions)
     speed, torque = stacked(motions)[1], free
-    loaded = any(numbers[name].any() for name in _OF_LOAD)
+    loaded = any(numbers[name].any() for name in ("load_friction", "load_rise"))
     for _ in range(_ITERATIONS if loaded else 1):
         columns = _loss_columns(numbers, speed, external - torque if loaded else None)
         torque = free + sum(numbers[name][:, None] * x for name, x in columns.items())
@@ -268,10 +229,7 @@ def _without_losses(
 
 
 def _loss_columns(numbers: Numbers, speed: Array, load: Array | None) -> dict[str, Array]:
-    """Torque of each of :data:`LOSSES` for a number of one, ``(1 or n, M)``.
-
-    Without a ``load`` ``(n, M)`` no loss depends on it.
-    """
+    """Torque of each loss for a number of one, ``(1 or n, M)``; none of the load without one."""
     v, sign, low = speed[None], np.sign(speed)[None], None
     columns = {"friction": sign, "damping": v, "quadratic": v * np.abs(v)}
     if numbers["rise_exponent"].any():

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 
-from bayesfric.base.errors import BadInput, nearest
 from bayesfric.export.joint_model import LOSSES
 
 # What a file may leave out: others are fitted in their place, or the user is left with it.
@@ -64,12 +63,3 @@ def programs() -> Mapping[str, Mapping[str, Program]]:
         form: {name: Program(name, **row) for name, row in of_form.items()}
         for form, of_form in rows.items()
     }
-
-
-def program_of(name: str, form: str) -> Program:
-    """Look up a program that reads a format."""
-    known = programs().get(form, {})
-    if name not in known:
-        problem = f"no file of the format {form} was tried in {name!r}"
-        raise BadInput("--for", problem, nearest(name, known))
-    return known[name]

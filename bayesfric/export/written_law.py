@@ -27,23 +27,13 @@ from bayesfric.recordings.arrays import Array
 Language = Literal["python", "c"]
 
 # NumPy's operations as formulas.
-_WRITTEN = {
-    "add": "({} + {})",
-    "subtract": "({} - {})",
-    "multiply": "({} * {})",
-    "divide": "({} / {})",
-    "negative": "(-{})",
-    "positive": "{}",
-    "square": "({0} * {0})",
-    "greater": "({} > {})",
-    "power": "pow({}, {})",
-    "absolute": "fabs({})",
-    "maximum": "fmax({}, {})",
-    "minimum": "fmin({}, {})",
-    "arctan": "atan({})",
-    "sign": "sign({})",
-} | {x: f"{x}({{}})" for x in ["sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh"]}
-_NUMBER = r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?"
+_OPERATORS = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "greater": ">"}
+_ALIKE = ("sign", "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh")
+_WRITTEN = {name: f"({{}} {sign} {{}})" for name, sign in _OPERATORS.items()}
+_WRITTEN |= {name: f"{name}({{}})" for name in _ALIKE}
+_WRITTEN |= {"negative": "(-{})", "positive": "{}", "square": "({0} * {0})", "power": "pow({}, {})"}
+_WRITTEN |= {"absolute": "fabs({})", "maximum": "fmax({}, {})", "minimum": "fmin({}, {})"}
+_WRITTEN |= {"arctan": "atan({})"}
 
 
 class Unwritten(Exception):
@@ -51,11 +41,7 @@ class Unwritten(Exception):
 
 
 class Traced(NDArrayOperatorsMixin):
-    """A symbolic number: what NumPy's operations do to it makes a formula.
-
-    An operation that not every language has, or a decision by its value, raises
-    :class:`Unwritten`.
-    """
+    """A symbolic number: NumPy's operations make a formula of it, or raise :class:`Unwritten`."""
 
     def __init__(self, formula: str) -> None:
         self.formula = formula
@@ -137,16 +123,14 @@ def statements(joint: Joint, vector: Array) -> list[tuple[str, str]]:
             if term.place != place or term.row.signal:
                 continue
             name = joint.names[term.index]
-            at = State(
-                reach * q, reach * v, reach * a, s, Traced("time") if name in custom else 0.0
-            )
+            # there is no formula of time: None supports no operation
+            time = None if name in custom else 0.0
+            at = State(reach * q, reach * v, reach * a, s, time)
             shape = vector[[term.shape]] if term.shape >= 0 else ()
             try:
                 torque = torque_of(term.row, at, *shape)
             except Unwritten:
                 raise Unwritten(name) from None
-            if "time" in str(_formula(torque)):
-                raise Unwritten(name)
             total = total + vector[term.index] * torque
         return total
 
@@ -186,7 +170,7 @@ def _text(formula: str, language: Language) -> str:
     """Write a formula without needless brackets, its numbers or functions as the language does."""
     text = ast.unparse(ast.parse(formula, mode="eval"))
     if language == "c":
-        return re.sub(_NUMBER, r"REAL(\g<0>)", text)
+        return re.sub(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?", r"REAL(\g<0>)", text)
     text = re.sub(r"\bf(max|min)\(", r"\1(", text)
     return re.sub(r"\b(?!sign|where|max|min)(\w+)\(", r"math.\1(", text)
 

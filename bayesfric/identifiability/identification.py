@@ -414,7 +414,7 @@ def trials(
     stretch, period, hertz = longest_stretch(base), sample_period(base), base.pace
     time = period * np.arange(stretch.stop - stretch.start, dtype=np.float64)
     peak = float(np.quantile(np.abs(base.torque[stretch]), 0.99))
-    unit = "N m" if chain.motor_motion == "rotary" else "N"
+    unit = chain.torque_unit
     experiments: list[tuple[RemedyKind, str, Callable[[], Signals]]] = []
     if len({replace(o.inputs, recording="") for o in observations}) == 1:
         mass, article = known_mass(chain, values), "another" if base.inputs.added_mass else "a"

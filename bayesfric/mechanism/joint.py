@@ -213,8 +213,13 @@ class Joint:
 
     @property
     def motor_motion(self) -> Motion:
-        """Whether the motor turns or slides, which sets the unit of its torque (N m or N)."""
+        """Whether the motor turns or slides."""
         return self.elements[0].motion
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of the motor's torque: N m, or N of what slides."""
+        return "N m" if self.motor_motion == "rotary" else "N"
 
     @cached_property
     def ratio(self) -> float:

@@ -139,7 +139,7 @@ def rollout(
     for recording in prepared:
         progress(Progress(f"roll-out: {recording.measurement.name}"))
         compared.append(_compare(run, recording, *simulations(recording, picked, share_of_draw)))
-    unit = "N m" if run.joint.motor_motion == "rotary" else "N"
+    unit = run.joint.torque_unit
     left = rms(np.concatenate([values for values, _ in residuals]))
     return RollOut(run.name, tuple(compared), len(picked), seed, shares, left, unit)
 

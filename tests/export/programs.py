@@ -24,14 +24,14 @@ import numpy as np
 import tomlkit
 
 from bayesfric.export.exported import export_to
-from bayesfric.export.formats import format_of
+from bayesfric.export.formats import formats
 from bayesfric.export.joint_model import (
     Trajectory,
     exact_numbers,
     simulator_numbers,
     torque_along,
 )
-from bayesfric.export.programs import program_of, programs
+from bayesfric.export.programs import programs
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Inputs
@@ -482,7 +482,7 @@ def load(name, form, exported, folder):
 
 def exported_to(form, run, leave_out=()):
     """Export with some numbers left out of the format."""
-    return export_to(format_of(form).without(leave_out), run)
+    return export_to(formats()[form].without(leave_out), run)
 
 
 def read(name, form, run, leave_out):
@@ -516,7 +516,7 @@ def read(name, form, run, leave_out):
 
 def expected_numbers(exported, form):
     """Numbers that the format has, as they were written."""
-    names = format_of(form).names
+    names = formats()[form].names
     rows = {row["attribute"]: row["value"] for row in exported.record["numbers"]}
     return {number: rows.get(attribute, 0.0) for attribute, number in names.items()}
 
@@ -581,7 +581,7 @@ def torque_errors(name, form):
         gain, offset = exact["gain"], exact["torque_offset"]
         law = gain * torque_along(joint, vector, path)[0] - offset
         row = []
-        for leave_out in ((), program_of(name, form).unused):
+        for leave_out in ((), programs()[form][name].unused):
             exported = exported_to(form, run, leave_out)
             with tempfile.TemporaryDirectory() as folder:
                 try:
@@ -589,7 +589,7 @@ def torque_errors(name, form):
                     row.append(rms(seen(loaded, form, exact, motion) - law))
                 except Exception:  # whatever a program raises: it refuses the file
                     row.append(None)
-        target = format_of(form).without(leave_out)
+        target = formats()[form].without(leave_out)
         recorded = [Trajectory.of(o) for o in run.model.observations]
         numbers = simulator_numbers(joint, vector, recorded, target.carried)
         carried = gain * target.torque(joint, vector, numbers, path)[0] - offset

@@ -8,7 +8,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.export.programs import program_of, programs
+from bayesfric.export.programs import programs
 from tests.conftest import REPOSITORY
 
 from .arm_programs import ARM_PROGRAMS, arm_row
@@ -30,7 +30,7 @@ def installed(name):
 @pytest.mark.parametrize(("name", "form"), ROWS)
 def test_a_program_takes_what_its_row_says(name, form):
     installed(name)
-    known, row = program_of(name, form), measured(name, form)
+    known, row = programs()[form][name], measured(name, form)
     assert row["takes"] == pytest.approx(dict(known.takes), abs=0.02)
     assert set(row["stored"]) == set(known.stored)
     assert row["adds"] == pytest.approx(dict(known.adds), rel=0.05)
@@ -75,7 +75,7 @@ def test_bam_is_as_near_to_the_law_as_was_asked():
 @pytest.mark.parametrize(("name", "form"), ARM_ROWS)
 def test_effort_limits_and_mimic_joints_of_an_arm_arrive_as_its_row_says(name, form, tmp_path):
     installed(name)
-    assert arm_row(name, form, tmp_path) == pytest.approx(dict(program_of(name, form).takes))
+    assert arm_row(name, form, tmp_path) == pytest.approx(dict(programs()[form][name].takes))
 
 
 def test_no_program_is_without_a_row():
@@ -119,7 +119,7 @@ def test_what_sdf_loses_in_drake_is_listed_in_newton_metres():
 @pytest.mark.parametrize("name", ["pinocchio", "drake"])
 def test_a_file_for_a_program_has_nothing_that_spoils_another_number(name):
     exported = bf.export(finished_posterior("plain"), "mujoco", program=name)
-    program = program_of(name, "mujoco")
+    program = programs()["mujoco"][name]
     present = {x["number"] for x in exported.record["programs"][0]["changed"]}
     assert not present & set(program.spoils)
     assert np.isfinite(exported.record["programs"][0].get("error", 0.0))

@@ -222,7 +222,7 @@ def _number(x: float) -> float | None:
 
 def _noise_described(fit: Fit) -> dict[str, dict[str, Any]]:
     """Give unit, symbol and meaning of every noise parameter, by name."""
-    noise, effort = fit.target.noise, "N m" if fit.chain.motor_motion == "rotary" else "N"
+    noise, effort = fit.target.noise, fit.chain.torque_unit
     units = {"position": fit.target.likelihood.outputs[0].unit, "": ""}
     meanings = {scale.name: scale.meaning for scale in fit.target.likelihood.noise.scales}
     described = {}
