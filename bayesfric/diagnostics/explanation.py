@@ -29,8 +29,8 @@ import numpy as np
 from pydantic import Field
 
 from bayesfric.base.options import Options
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.likelihood import TorqueLikelihood
-from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target, units_of
 from bayesfric.recordings.arrays import Array
@@ -264,7 +264,7 @@ def calibration_check(
     """
     begun, worked = time.perf_counter(), time.process_time()
     reason: CheckReason | None = explained.reason
-    if isinstance(target.likelihood, PositionLikelihood):
+    if not isinstance(target.likelihood, TorqueLikelihood | ClosedLoopLikelihood):
         reason = "likelihood"
     elif any(o.rest is not None for o in observations):
         reason = "rest"

@@ -8,6 +8,7 @@ import hashlib
 import io
 import re
 import warnings
+import zipfile
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -520,8 +521,8 @@ def _read_npy(path: Path, _: TableOptions) -> Table:
 
 def _read_npz(path: Path, _: TableOptions) -> Table:
     """Read an archive, one column an array, each when asked for; no pickle is opened."""
-    with np.load(path, allow_pickle=False) as arrays:
-        names = list(arrays.files)
+    with zipfile.ZipFile(path) as archive:  # NumPy leaves a file open that is none
+        names = [name.removesuffix(".npy") for name in archive.namelist()]
 
     def load(index: int) -> NDArray[Any]:
         with np.load(path, allow_pickle=False) as arrays:

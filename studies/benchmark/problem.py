@@ -111,7 +111,7 @@ def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Signals:
         torque=torque,
         compared=torque,
         # no filter: every sample is an output
-        filter=ParallelFilter.every_sample(n_samples),
+        filter=ParallelFilter(np.ones(1), np.arange(n_samples), *np.ones((2, n_samples))),
         time=motion.time[moving],
         measured=torque,
         speed=motion.qd[moving],

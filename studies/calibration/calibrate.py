@@ -101,7 +101,9 @@ def motions() -> tuple[Signals, Signals]:
                 qdd=motion.qdd[moving],
                 torque=motion.torque[moving],
                 compared=motion.torque[moving],
-                filter=ParallelFilter.every_sample(moving.size),
+                filter=ParallelFilter(
+                    np.ones(1), np.arange(moving.size), *np.ones((2, moving.size))
+                ),
                 time=motion.time[moving],
                 measured=motion.torque[moving],
                 speed=motion.qd[moving],

@@ -109,7 +109,7 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
         qdd=qdd,
         torque=torque,
         compared=torque,
-        filter=ParallelFilter.every_sample(n),
+        filter=ParallelFilter(np.ones(1), np.arange(n), *np.ones((2, n))),
         time=trajectory.time,
         measured=torque,
         speed=qd,

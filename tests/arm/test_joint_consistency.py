@@ -156,8 +156,8 @@ def test_a_wrong_drive_gain_contradicts_no_other_joint(tmp_path):
     frame.to_csv(tmp_path / "log.csv", index=False)
     options = {**QUICK, "payload": {"mass_sd": "0.1 kg"}}
     arm = Arm(tmp_path / "arm.urdf", options).fit(tmp_path / "log.csv", seed=1)
-    assert arm.factors.joints.keys() == {ELBOW}
-    value, sd = arm.factors.joints[ELBOW]
+    assert arm.departures.joints.keys() == {ELBOW}
+    value, sd = arm.departures.joints[ELBOW]
     assert abs(value - 1.5) < 3.0 * sd
     assert set(arm.consistency.agreed) == set(TRUTH)
     statuses = {name: row.reported.status for name, row in arm.joints[ELBOW].rows.items()}
