@@ -483,10 +483,10 @@ class Regression:
         # a short effect is no larger for that; additional losses are as large as the model's
         losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in keys]
         largest = np.where(losses, self.scales.lost, self.scales.torque)
-        highest, columns = np.zeros(len(keys)), d.others.copy()
         if self.torques is None or self.effects_on_outputs is None:
             highest, columns = np.abs(self.data.others).max(axis=0), self.data.others
         else:  # a disturbance of outputs is no torque
+            highest, columns = np.zeros(len(keys)), d.others.copy()
             highest[: self.torques.shape[1]] = np.abs(self.torques).max(axis=0)
             columns[:, : self.torques.shape[1]] = self.effects_on_outputs
         nonzero = highest > np.finfo(np.float32).tiny  # of Stribeck friction far below all speeds
