@@ -103,12 +103,12 @@ def closed_loop_mode(
     longer = copy(target)
     longer.likelihood = likelihood.with_stride(likelihood.longer)
     far = climb_from(longer, mode)
-    near, wide = (
+    narrow, wide = (
         np.diag(np.linalg.inv(slope_and_information(t, u, 1e-3 * spread)[1]))
         for t, u in ((target, mode), (longer, far))
     )
     # the estimate of all readings is efficient if the model is right (Hausman 1978)
-    shift = (far - mode) / np.sqrt(np.maximum(wide - near, 0.1 * wide))
+    shift = (far - mode) / np.sqrt(np.maximum(wide - narrow, 0.1 * wide))
     named = zip(target.free, shift.tolist(), strict=False)
     shifts = {name: x for name, x in named if abs(x) > largest}
     return at_mode(longer, far, shifts) if shifts else at_mode(target, mode, {})
