@@ -172,6 +172,16 @@ class Table:
             raise BadInput(self.label(key), f"holds {count} values a sample", hint)
         return cells[:, signal]
 
+    def signals(self, name: str) -> list[str]:
+        """Name the signals of a column that has several a row, as ``"name[3]"``; else itself."""
+        cells = self.cells(name)
+        if cells.ndim == 2:
+            count = cells.shape[1]
+        else:
+            lists = (len(cell) for cell in np.atleast_1d(cells) if isinstance(cell, _LISTS))
+            count = max(lists, default=0)
+        return [f"{name}[{k}]" for k in range(count)] or [name]
+
     def at(self, rows: Index, count: int) -> Table:
         """Select some of ``count`` rows, which every column must have."""
         chosen = rows if self.rows is None else self.rows[rows]
