@@ -160,16 +160,16 @@ def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
 @contextmanager
 def _open_text(path: Path) -> Iterator[TextIO]:
     """Open a text, which must be UTF-8, or UTF-16 with a byte order mark."""
-    with path.open("rb") as start:
-        wide = start.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE)
-    with path.open(encoding="utf-16" if wide else "utf-8-sig") as stream:
+    with path.open("rb") as data:
+        wide = data.peek(2)[:2] in (BOM_UTF16_LE, BOM_UTF16_BE)
         try:
-            yield stream
+            yield io.TextIOWrapper(data, encoding="utf-16" if wide else "utf-8-sig")
         except UnicodeDecodeError as error:
             # of what was read last
-            place = stream.buffer.tell() - len(error.object) + error.start
-            problem = f"is not {'UTF-16' if wide else 'UTF-8'} text"
-            raise BadInput(f"{path}, byte {place}", problem, "save it as UTF-8") from error
+            place, kind = data.tell() - len(error.object) + error.start, "UTF-16" * wide or "UTF-8"
+            raise BadInput(
+                f"{path}, byte {place}", f"is not {kind} text", "save it as UTF-8"
+            ) from error
 
 
 def _read_text(path: Path) -> str:
