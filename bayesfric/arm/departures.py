@@ -335,6 +335,8 @@ def common_delay(models: Mapping[str, Model]) -> ArmDelay:
     for _ in range(5):
         joints = {name: x for name, model in models.items() if (x := _delay_of(model, delay))}
         value, sd = combined(joints.values())
+        # jitter of the log's stamps is an error of all joints, which does not average out
+        sd = max(sd, min((own for _, own in joints.values()), default=sd))
         evident = value**2 > sd**2 * (math.log(max(outputs, 1)) + _STRONG)
         if not evident or abs(value - delay) < 0.5 * sd:
             break
