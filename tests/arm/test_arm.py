@@ -52,10 +52,11 @@ def test_a_body_that_is_far_off_departs_from_the_urdf():
     record(factors={"lower": 2.0})
     arm = Arm("arm.urdf", {**QUICK, "payload": {"mass_sd": "0.1 kg"}}).fit("log.csv", seed=1)
     assert arm.departures.changes
-    statuses = {
-        row.reported.status for x in arm.joints.values() for row in x.number_rows("coulomb")
-    }
+    coulomb = {name: x.rows["motor.coulomb"].reported for name, x in arm.joints.items()}
+    statuses = {row.status for row in coulomb.values()}
     assert arm.inertial_estimate["p"] < 0.01 or statuses == {"doubtful"}
+    for name, row in coulomb.items():  # whichever it is
+        assert row.interval[0] < TRUTH[name]["motor.coulomb"] < row.interval[1]
 
 
 @pytest.mark.parametrize(("factor", "loaded"), [(1.0, True), (1e-6, False)])
