@@ -120,7 +120,7 @@ class Arm:
             for name, model in models.items():
                 report(Progress(name))
                 if timing is not None and name in closed:
-                    model = timing.known(model)
+                    model = timing.known(name, model)
                 joints[name] = self._with_coupling(joints[name], model, arm.logs[0], torques[name])
                 try:
                     result = arm.departures.doubted(name, model.fit(seed=seed, progress=report))

@@ -12,13 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from bayesfric.arm.arm_log import ArmLog, signals
 from bayesfric.arm.departures import combined
 from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.fit.model import Model
+from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.closed_loop_fit import closed_loop_mode, slope_and_information
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.closed_loop import follow
@@ -38,9 +38,10 @@ class Timing:
     delay: tuple[float, float]  # value and sd
     instants: tuple[float, float]
     joints: Mapping[str, Mapping[str, tuple[float, float]]]
+    modes: Mapping[str, Mapping[str, float]]  # parameters of each joint without the others
 
-    def known(self, model: Model) -> Model:
-        """Give a joint's model these as priors."""
+    def known(self, name: str, model: Model) -> Model:
+        """Give a joint's model these as priors; the search for its mode starts at its own."""
         (delay, delay_sd), (instants, instants_sd) = self.delay, self.instants
         lines = [
             f'priors."{_DELAY}" = {{distribution = "norm", loc = {delay!r}, scale = {delay_sd!r}}}',
@@ -48,12 +49,14 @@ class Timing:
             f"scale = {instants!r}}}",
         ]
         config = with_settings(model.config, lines)
-        return Model.from_config(config, terms=model.chain.terms, recordings=model.given)
+        out = Model.from_config(config, terms=model.chain.terms, recordings=model.given)
+        out.near = {**self.modes[name], _DELAY: delay, _INSTANTS: instants}
+        return out
 
 
 def common_timing(models: Mapping[str, Model], progress: ProgressCallback) -> Timing | None:
     """Combine delays and scatters of instants of the joints' modes; None of no joints."""
-    joints = dict[str, dict[str, tuple[float, float]]]()
+    joints, modes = dict[str, dict[str, tuple[float, float]]](), dict[str, dict[str, float]]()
     for name, model in models.items():
         progress(Progress(f"timing: {name}"))
         start, seed = model.starting_point(), model.config.tables.sampling.seed
@@ -63,6 +66,7 @@ def common_timing(models: Mapping[str, Model], progress: ProgressCallback) -> Ti
         _, information = slope_and_information(target, mode.mode, steps)
         sds = np.sqrt(np.diag(np.linalg.inv(information)))
         centre, moved = target.to_parameters(mode.mode + np.stack([0.0 * sds, 1e-3 * sds]))[0]
+        modes[name] = dict(zip(names, centre.tolist(), strict=True))
         joints[name] = {
             key: (float(centre[k]), float(abs(moved[k] - centre[k]) / 1e-3))
             for key in (_DELAY, _INSTANTS)
@@ -73,7 +77,7 @@ def common_timing(models: Mapping[str, Model], progress: ProgressCallback) -> Ti
     delay, instants = (
         combined([x[key] for x in joints.values() if key in x]) for key in (_DELAY, _INSTANTS)
     )
-    return Timing(delay, instants, joints)
+    return Timing(delay, instants, joints, modes)
 
 
 def own_columns(
@@ -126,7 +130,10 @@ def followed(
     for k in range(len(inertial)):
         progress(Progress(f"roll-out {k + 1} of {len(inertial)}"))
         dynamics, motion = bodies.dynamics(inertial[k]), log.motion.copy()
-        noise = [_noise(fit, log.time.size, period, rng) for fit in fits.values()]
+        noise = [
+            _disturbance(fit, values[name][k], log.time.size, period, rng)
+            for name, fit in fits.items()
+        ]
         for _ in range(_TURNS):
             along = [dynamics(q, qd) for q, qd in motion[:2].transpose(2, 0, 1)]
             mass, bias = (np.array(x) for x in zip(*along, strict=True))
@@ -153,14 +160,11 @@ def followed(
     return out
 
 
-def _noise(
-    fit: Fit, count: int, period: float, rng: np.random.Generator
+def _disturbance(
+    fit: Fit, values: Array, count: int, period: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Draw the random torque ``(count,)`` of a fit, and errors of readings and their instants."""
-    draw = rng.choice(fit.posterior.flat())[None, len(fit.target.free) :]
-    slow, constant, white, encoder, instants = fit.target.noise.scales(draw)[0, 0]
-    keeps = math.exp(-period / constant)
-    first, *kicks = slow * rng.standard_normal(count)
-    scaled = np.r_[first, math.sqrt(1.0 - keeps**2) * np.array(kicks)]
-    push = lfilter([1.0], [1.0, -keeps], scaled) + white * rng.standard_normal(count)
-    return push, encoder * rng.standard_normal(count), instants * rng.standard_normal(count)
+    """Draw a random torque ``(count,)``, and errors of readings and instants, of a fit's noise."""
+    drawn = rng.choice(fit.posterior.flat())[None, len(fit.target.free) :]
+    likelihood, scales = fit.target.likelihood, fit.target.noise.scales(drawn)[0, 0]
+    assert isinstance(likelihood, ClosedLoopLikelihood)
+    return likelihood.draw_disturbance(values, scales, count, period, rng)

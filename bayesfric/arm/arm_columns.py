@@ -128,14 +128,11 @@ def _target_of(table: Table, joint: str) -> tuple[str, str] | None:
     """Find the column of the target position of a joint as labelled in a log, and its unit."""
     for name in table.names:
         meaning = named(f"position {name}")
-        if not (meaning.wanted and meaning.channel == "position"):
-            continue
-        keys = [name, *(f"{name}[{k}]" for k in range(64))]
-        for key in keys if meaning.joint != joint else [name]:
-            if (meaning := named(f"position {key}")).joint == joint:
-                with suppress(BadInput):
-                    table.values(key)
-                    return key, meaning.unit
+        if meaning.wanted and meaning.channel == "position":
+            with suppress(BadInput):
+                for key in table.signals(name):
+                    if (meaning := named(f"position {key}")).joint == joint:
+                        return key, meaning.unit
     return None
 
 

@@ -1,9 +1,9 @@
 """What else explains the motion of a closed loop: the regression of its prediction errors.
 
 A candidate is a torque along the motion that the model makes of the targets alone, which no error
-of a prediction has touched (an instrument). Added to the joint in small, the filter says what it
-does to every prediction; that, over the predictions' sds, is its column, less what the model's own
-terms along the same motion make of it. Errors of a right model are independent and standard normal,
+of a prediction has touched (an instrument). What the filter makes of it in every prediction, over
+the predictions' sds, is its column, less what the model's own terms along the same motion make of
+it. Errors of a right model are independent and standard normal,
 which is what replicates hold.
 """
 
@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.signal import lfilter
 
 from bayesfric.diagnostics.candidates import columns_along
 from bayesfric.diagnostics.explanation import Explanation, finding_of
@@ -36,14 +35,7 @@ from bayesfric.diagnostics.statistics import (
 )
 from bayesfric.inference.closed_loop import ClosedLoopLikelihood
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.closed_loop import (
-    ENCODER,
-    INSTANTS,
-    SLOW_TIME,
-    SLOW_TORQUE,
-    WHITE_TORQUE,
-    follow,
-)
+from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.measurement import Measurement
@@ -51,8 +43,8 @@ from bayesfric.recordings.signals import Signals
 
 # Simulated recordings for the calibration check.
 _REPLICATES = 8
-# Steps of derivatives: share of a parameter, and of the largest torque for a candidate.
-_STEP, _SMALL = 1e-4, 1e-2
+# Step of derivatives, as a share of a parameter.
+_STEP = 1e-4
 
 
 def explain_closed_loop(target: Target, parameters: Array, seed: int) -> Explanation:
@@ -138,7 +130,6 @@ def _effects(
     The latter ``(M, m)``, and that of the model's own terms ``(M, k)``, are over the sds.
     """
     chain, blocks, torques, keys = likelihood.chain, list[Array](), list[Array](), list[Key]()
-    still = likelihood.errors(values[None], noise)
     for r in range(len(likelihood.observations)):
         motion = MotionSignals(chain, values, *_played(likelihood, values, r), scales)
         keys, columns = map(list, zip(*columns_along(motion), strict=True))
@@ -148,12 +139,7 @@ def _effects(
         terms /= steps[free][:, None]
         z = np.nan_to_num(np.concatenate([np.array(columns), terms]))
         torques.append(z[: len(keys)].T)
-        unit = _SMALL * scales.torque / np.maximum(np.abs(z).max(axis=1), 1e-300)
-        pushes: list[Array | None] = [None] * len(likelihood.observations)
-        pushes[r] = -z * unit[:, None]
-        pushed, _ = likelihood.errors(np.tile(values, (len(z), 1)), noise, pushes)[r]
-        error, variance = still[r]
-        blocks.append(-((pushed - error[0]) / np.sqrt(variance[0])).T / unit * z.any(axis=1))
+        blocks.append(likelihood.effects(r, values, noise[0, r], z).T)
     effects, of_terms = np.split(np.concatenate(blocks), [len(keys)], axis=1)
     return keys, np.concatenate(torques), effects, of_terms
 
@@ -166,15 +152,11 @@ def _simulated(
     for r, (recording, o) in enumerate(
         zip(likelihood.recordings, likelihood.observations, strict=True)
     ):
-        size = recording.time.size
-        z, instants, encoder, white = random.standard_normal((4, size))
-        keeps = np.exp(-recording.period / noise[r, SLOW_TIME])
-        # of white torque, passed in a line, two thirds of the variance stay
-        push = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], z) * noise[r, SLOW_TORQUE]
-        push += np.sqrt(1.5) * noise[r, WHITE_TORQUE] * white
-        factor, _ = likelihood.chain.drive_gains(values[None])
-        played, _ = _played(likelihood, values, r, push[None] * factor)
-        q = played.q + played.qd * noise[r, INSTANTS] * instants + noise[r, ENCODER] * encoder
+        push, encoder, instants = likelihood.draw_disturbance(
+            values, noise[r], recording.time.size, recording.period, random
+        )
+        played, _ = _played(likelihood, values, r, push[None])
+        q = played.q + encoder + instants * played.qd
         if step := o.position_step:
             q = step * np.round(q / step)
         recordings.append(replace(recording, position=q))

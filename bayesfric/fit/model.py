@@ -176,6 +176,8 @@ class Model:
     ) -> None:
         self.config, self.given = config, recordings or ()
         self._estimates: dict[Method, Estimate] = {}  # cache
+        # parameters, by name, near which the mode of a closed loop is searched
+        self.near: Mapping[str, float] = {}
         self.chain, self.priors, parts, self.encoder = prepare(config, recordings, terms)
         self.recordings, self.observations = fitted(parts)
         self.held_out = tuple(part for part in parts if part.held_out)
@@ -368,9 +370,8 @@ class Model:
     @cached_property
     def closed_loop_mode(self) -> ClosedLoopMode:
         """Mode of the posterior of a closed loop."""
-        return closed_loop_mode(
-            self._start.target, self._start.estimates, self.config.tables.sampling.seed
-        )
+        start, seed = self._start, self.config.tables.sampling.seed
+        return closed_loop_mode(start.target, start.estimates, seed, near=self.near)
 
     def _with_finding(self, finding: Finding) -> Self | None:
         """Add a finding's setting; ``None`` if it conflicts with the configuration."""
@@ -379,7 +380,10 @@ class Model:
             lines.append('mechanism.terms = "as written"')
         with suppress(BadInput):
             config, given = with_settings(self.config, lines), self.given or None
-            return type(self).from_config(config, terms=self.chain.terms, recordings=given)
+            trial = type(self).from_config(config, terms=self.chain.terms, recordings=given)
+            if self.method == "closed-loop":
+                trial.near = self.closed_loop_mode.by_name
+            return trial
         return None
 
     def identify(self) -> pd.DataFrame:

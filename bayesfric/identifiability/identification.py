@@ -206,6 +206,8 @@ def identify(
     local = in_natural_units(target, estimate, local_information(target, estimate))
     values = target.chain_values(estimate[None])[0]
     coverage = coverage_of(chain, observations, values)
+    for recording, outputs in zip(coverage, target.likelihood.outputs, strict=True):
+        recording["outputs"] = outputs.measured.size
     back = back_driving(chain, observations, values)
     rare, free = any(share < HARDLY for share in back.values()), len(target.free)
     tried = trials(target, estimate, local, rare=rare) if any(open_rows(local)) else []
@@ -358,6 +360,13 @@ def _reasons(
     members = [p for p, x in zip(free, row, strict=True) if abs(x) > _NAMED]
     # the terms that they fill
     shaped = {kind for p in members for kind, _ in p.row.fills}
+    if null and any(p.name == "drive.kp" for p in members):
+        yield (
+            "no torque was recorded: one factor on gains, inertia, gravity and friction changes no "
+            "motion, and only what they are over kp is determined; a known mass, the inertia of a "
+            "body, or a known limit that the drive reaches tells the factor, too"
+        )
+        return
     undriven = [element for element, share in back.items() if share < HARDLY]
     for element in undriven:
         yield (
@@ -376,14 +385,7 @@ def _reasons(
             f"the joint hardly accelerates: in {100.0 * steady:.0f} % of the outputs inertia takes "
             "less than a twentieth of the torque"
         )
-    scaled = null and any(p.name == "drive.kp" for p in members)
-    if scaled:
-        yield (
-            "no torque was recorded: one factor on gains, inertia, gravity and friction changes no "
-            "motion, and only what they are over kp is determined; a known mass, the inertia of a "
-            "body, or a known limit that the drive reaches tells the factor, too"
-        )
-    if undriven or small or slow or scaled:
+    if undriven or small or slow:
         return
     if len(members) > 1:
         yield "their effects on the output have nearly the same shape in these recordings"

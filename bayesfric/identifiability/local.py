@@ -22,6 +22,7 @@ from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import LocalUnits, Target, units_of
 from bayesfric.mechanism.derived import Derived, derivatives
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import scales_with_torque
 from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.signals import Signals
 from bayesfric.results.reported import Determined
@@ -40,17 +41,18 @@ _ROUNDING = 1e-5
 
 
 def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | None = None) -> str:
-    """Describe in words a change that no torque shows."""
+    """Describe in words a change that the data do not show."""
     names, in_units = ", ".join(exponents), in_units or {}
     if len(exponents) == 1:
-        return f"{names} does not show in the torque at all"
+        return f"{names} does not show in the data at all"
     if not in_units and all(abs(x - 1.0) < _ROUNDING for x in exponents.values()):
-        return f"{names} can all be multiplied by one factor: no torque changes"
+        return f"{names} can all be multiplied by one factor: the data stay the same"
     changes = (
         f"{name} by {x:+.2g} {in_units[name]}" if name in in_units else f"{name} by k^{x:.3g}"
         for name, x in exponents.items()
     )
-    return f"changing {', '.join(map(str.strip, changes))} together changes no torque, for k near 1"
+    together = ", ".join(map(str.strip, changes))
+    return f"changing {together} together leaves the data the same, for k near 1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ class LocalInformation(LocalUnits):
     # (n_null, d) null directions in those units, the largest entry one; scalings first
     null_rows: Array
     directions: Directions  # of the Jacobian over the noise
-    from_theory: int = 0  # how many null directions are scalings (section 4.2)
+    from_theory: int = 0  # how many null directions are scalings of section 4.2
 
     @property
     def null_directions(self) -> tuple[dict[str, float], ...]:
@@ -111,6 +113,10 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
             'use method = "input-error", or priors that keep parameters off their bounds',
         )
     tolerance = NULL if target.likelihood.method == "input-error" else _NULL_SIMULATED
+    from_theory, of_torque = len(scalings), _torque_scaling(target, values) / units
+    least = tolerance * np.linalg.norm(jacobian, ord=2) * np.linalg.norm(of_torque)
+    if of_torque.any() and np.linalg.norm(jacobian @ of_torque) < least:
+        scalings = np.vstack([scalings, of_torque])
     decomposed = directions(jacobian, np.ones(units.size), tolerance, known_null=scalings)
     # the Jacobian is in these units already
     decomposed = replace(decomposed, units=units)
@@ -118,7 +124,15 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     unknown = np.full(units.size, np.nan)
     local = LocalInformation(**vars(at), data_sd=unknown, null_rows=rows, directions=decomposed)
     sds = np.array([local.data_sd_of(gradient) for gradient in np.eye(units.size)])
-    return replace(local, data_sd=sds, from_theory=len(scalings))
+    return replace(local, data_sd=sds, from_theory=from_theory)
+
+
+def _torque_scaling(target: Target, values: Array) -> Array:
+    """Give the change ``(d,)`` of everything that is a torque by one factor, with a free kp."""
+    rows = {p.name: p for p in target.likelihood.chain.parameters}
+    named = dict(zip(target.likelihood.chain.names, values.tolist(), strict=True))
+    free = "drive.kp" in target.free
+    return np.array([named[n] * (free and scales_with_torque(rows[n].unit)) for n in target.free])
 
 
 def fixed_in(target: Target, values: Array) -> Knowledge:

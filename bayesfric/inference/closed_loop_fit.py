@@ -50,6 +50,11 @@ class ClosedLoopMode:
         """Parameters ``(d,)`` there."""
         return np.asarray(self.target.to_parameters(self.mode[None])[0][0])
 
+    @property
+    def by_name(self) -> dict[str, float]:
+        """The same, by name."""
+        return dict(zip(self.target.names, self.parameters.tolist(), strict=True))
+
     def predicts_better(self, smaller: ClosedLoopMode) -> bool:
         """Whether a larger model predicts other data better, by its information criterion."""
         return self.bic < smaller.bic
@@ -68,10 +73,12 @@ def closed_loop_mode(
     seed: int,
     progress: ProgressCallback = no_progress,
     *,
+    near: Mapping[str, float] | None = None,
     largest: float = 3.5,
 ) -> ClosedLoopMode:
     """Find the mode of a closed-loop posterior, and how far its predictions reach.
 
+    It is searched from parameters that are ``near`` by name, or else from the estimates and around.
     What the model lacks at high frequency moves the estimate from single readings most. Where that
     from predictions 20 ms ahead differs by more than ``largest`` standard deviations of the
     difference, it is used, and the differences are given by name; with infinity it is not searched.
@@ -89,19 +96,19 @@ def closed_loop_mode(
         at = target.at(target.to_parameters(mode[None])[0][0])
         return ClosedLoopMode(at, mode, spread, faster)
 
-    modes = [climb_from(target, u) for u in _starting_points(target, estimates, prior_draws)]
+    modes = [climb_from(target, u) for u in _starting_points(target, estimates, prior_draws, near)]
     mode = modes[int(np.argmax(target(np.array(modes))))]
     if likelihood.longer == 1 or np.isinf(largest):
         return at_mode(target, mode, {})
     longer = copy(target)
     longer.likelihood = likelihood.with_stride(likelihood.longer)
     far = climb_from(longer, mode)
-    near, wide = (
+    narrow, wide = (
         np.diag(np.linalg.inv(slope_and_information(t, u, 1e-3 * spread)[1]))
         for t, u in ((target, mode), (longer, far))
     )
     # the estimate of all readings is efficient if the model is right (Hausman 1978)
-    shift = (far - mode) / np.sqrt(np.maximum(wide - near, 0.1 * wide))
+    shift = (far - mode) / np.sqrt(np.maximum(wide - narrow, 0.1 * wide))
     named = zip(target.free, shift.tolist(), strict=False)
     shifts = {name: x for name, x in named if abs(x) > largest}
     return at_mode(longer, far, shifts) if shifts else at_mode(target, mode, {})
@@ -186,7 +193,12 @@ def _spread(target: Target, prior_draws: Array) -> Array:
     return np.asarray(np.maximum((high - low) / 2.0, 1e-12))
 
 
-def _starting_points(target: Target, estimates: Sequence[Estimate], prior_draws: Array) -> Array:
+def _starting_points(
+    target: Target,
+    estimates: Sequence[Estimate],
+    prior_draws: Array,
+    near: Mapping[str, float] | None,
+) -> Array:
     """Search starting coordinates ``(n, d)`` from estimates, one parameter after the other.
 
     The torque of a control law is late and noisy: its estimate has too small an inertia where the
@@ -214,6 +226,10 @@ def _starting_points(target: Target, estimates: Sequence[Estimate], prior_draws:
         return np.asarray(rows[int(np.argmax(target(target.from_parameters(rows))))])
 
     noises = np.quantile(prior_draws[:, k:], [0.5, 0.9, 0.99], axis=0)
+    if near:
+        typical = zip(target.names, [*rows[0], *noises[0]], strict=True)
+        row = np.array([[near.get(name, value) for name, value in typical]])
+        return target.from_parameters(np.clip(row, inner[0], inner[2]))
     starts = [best_of(np.array([[*row, *noise] for noise in noises])) for row in rows]
     for n, best in enumerate(starts):
         for j in 2 * list(range(best.size)):

@@ -100,9 +100,11 @@ class Fit:
 
     @property
     def predicting(self) -> Array:
-        """Draws ``(n, d)`` for predictions: 200, fewer for long recordings."""
-        outputs = sum(o.measured.size for o in self.target.likelihood.outputs)
-        return self.posterior.flat(max(10, min(200, 2_000_000 // outputs)))
+        """Draws ``(n, d)`` for predictions: 200, fewer for long recordings or closed loops."""
+        likelihood = self.target.likelihood
+        outputs = sum(o.measured.size for o in likelihood.outputs)
+        most = 40 if likelihood.method == "closed-loop" else 200
+        return self.posterior.flat(max(10, min(most, 2_000_000 // outputs)))
 
     @cached_property
     def residuals(self) -> list[Array]:

@@ -7,7 +7,7 @@ do not identify the parameters behind them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,7 +108,8 @@ def derive(joint: Joint, values: Array, load_torque: float) -> tuple[Derived, ..
     at = {name: values[:, i] for i, name in enumerate(joint.names)}
     lossy = (element for element in joint.elements if element.load_loss != "none")
     coefficients = (row for e in lossy for row in _of_loss(joint, e, at, load_torque))
-    return (*_totals(joint, at, values.shape[0]), *coefficients, *_over_gain(joint, at))
+    totals = [*_totals(joint, at, values.shape[0])]
+    return (*totals, *coefficients, *_over_gain(joint, at, totals))
 
 
 def derivatives(
@@ -127,18 +128,21 @@ def derivatives(
         yield q, float(q.values[-1]), slopes
 
 
-def _over_gain(joint: Joint, at: dict[str, Array]) -> Iterator[Derived]:
+def _over_gain(joint: Joint, at: dict[str, Array], totals: Sequence[Derived]) -> Iterator[Derived]:
     """Divide by an unknown gain of the drive: targets and positions alone determine that."""
     gain = next((p for p in joint.parameters if p.name == "drive.kp"), None)
-    for p in joint.parameters if gain is not None else ():
-        if scales_with_torque(p.unit) and p is not gain:
-            assert gain is not None
+    if gain is None:
+        return
+    kp = np.where(at[gain.name] > 0.0, at[gain.name], np.nan)
+    rows: list[tuple[Parameter | Derived, Array]] = [(p, at[p.name]) for p in joint.parameters]
+    for row, values in [*rows, *((total, total.values) for total in totals)]:
+        if scales_with_torque(row.unit) and row is not gain:
             yield Derived(
-                f"{p.name}_over_kp",
-                f"{p.unit}/({gain.unit})",
-                rf"{p.symbol}/{gain.symbol}",
-                f"{p.meaning}, over the gain of the drive",
-                at[p.name] / np.where(at[gain.name] > 0.0, at[gain.name], np.nan),
+                f"{row.name}_over_kp",
+                f"{row.unit}/({gain.unit})",
+                rf"{row.symbol}/{gain.symbol}",
+                f"{row.meaning}, over the gain of the drive",
+                values / kp,
                 gauge_free=True,
             )
 

@@ -386,8 +386,8 @@ def _signals(table: Table, problems: dict[str | int, str]) -> Iterator[tuple[str
         # a message that names its joints may have them in any order
         if any(other.startswith((f"{name}[", f"{name}.")) for other in table.names):
             continue
-        with suppress(BadInput):  # the fourth signal of three, which ends a column of several
-            for key in (f"{name}[{k}]" for k in range(64)):
+        with suppress(BadInput):  # it holds no numbers
+            for key in table.signals(name):
                 yield key, _numbers(table, key, problems), named(key, written)
 
 

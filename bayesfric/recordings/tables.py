@@ -172,6 +172,16 @@ class Table:
             raise BadInput(self.label(key), f"holds {count} values a sample", hint)
         return cells[:, signal]
 
+    def signals(self, name: str) -> list[str]:
+        """Name the signals of a column that has several a row, as ``"name[3]"``; else itself."""
+        cells = self.cells(name)
+        if cells.ndim == 2:
+            count = cells.shape[1]
+        else:
+            lists = (len(cell) for cell in np.atleast_1d(cells) if isinstance(cell, _LISTS))
+            count = max(lists, default=0)
+        return [f"{name}[{k}]" for k in range(count)] or [name]
+
     def at(self, rows: Index, count: int) -> Table:
         """Select some of ``count`` rows, which every column must have."""
         chosen = rows if self.rows is None else self.rows[rows]
@@ -200,12 +210,12 @@ class Table:
     def stamps(self, key: str | int) -> Array:
         """Return time stamps ``(n,)``, NaN in holes; the others must increase."""
         times, rows = self.values(key), np.flatnonzero(~self.holes(key))
-        time, filled = times[rows], self.at(rows, times.size)
-        if not np.isfinite(time).all():
-            filled.column(key)  # names the cell
-        wrong = np.diff(time) <= 0
-        if not wrong.any():
+        time = times[rows]
+        wrong = ~(np.diff(time) > 0.0)
+        if not wrong.any() and np.isfinite(time).all():
             return times
+        filled = self.at(rows, times.size)
+        filled.column(key)  # names a cell that is no number
         index = int(np.argmax(wrong)) + 1
         # a clock that was set back is in order before and after
         set_back = np.count_nonzero(time < np.maximum.accumulate(time)) > 3 * wrong.sum()

@@ -121,6 +121,21 @@ def test_without_a_scale_numbers_are_ratios_to_the_gain():
         assert abs(value - true) < 4.0 * sd, name
 
 
+def test_one_factor_on_every_torque_and_the_split_of_inertia_change_no_motion():
+    kps = [f"{0.1 * KP} N m/rad", f"{10 * KP} N m/rad"]
+    model = bf.Model(SERVO, recording(table(2), known_mass=False, kp=kps))
+    answer = model.identification()
+    scale, split = (direction.exponents for direction in answer.directions if direction.null)
+    assert scale == dict.fromkeys([n for n in answer.frame.index if n != "target.delay"], 1.0)
+    # of their sum every share is the motor's
+    assert set(split) == {"motor.inertia", "load.inertia"}
+    parts = [answer.frame.value[name] * power for name, power in split.items()]
+    assert abs(sum(parts)) < 1e-4 * max(map(abs, parts))
+    total = next(p for p in answer.combinations if p.name == "total.inertia_over_kp")
+    true = (TRUTH["motor.inertia"] + MASS * RADIUS**2) / KP
+    assert abs(total.value - true) < 4.0 * total.data_sd
+
+
 def test_a_loop_of_unknown_period_is_in_viscous_loss_and_inertia():
     """Half normal of .5 ms: sds of kp T/2 and of kd (T/2 + lag)."""
     frame, kd = table(3), "0.03 N m s/rad"

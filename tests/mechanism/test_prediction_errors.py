@@ -80,6 +80,96 @@ def test_a_linear_joint_has_the_kalman_filter(stride):
     np.testing.assert_allclose(error[0], wanted_error, atol=1e-8)
 
 
+HARD = Joint(
+    [Element("motor", inertia=True, viscous=True, coulomb="symmetric")],
+    Load(first_moment=True),
+    delay=True,
+    by_target=True,
+)
+
+
+def by_points(joint, values, target, limit, y):
+    """The same by cubature points, each through the simulated joint with small steps."""
+    whole, rest = int(LATE / PERIOD), LATE % PERIOD
+    base, speed = ENCODER**2 + RESOLUTION**2 / 12, (y[2] - y[0]) / (2 * PERIOD)
+    keeps = np.exp(-PERIOD / TAU)
+    x, p = (
+        np.array([y[0], speed, 0.0]),
+        np.diag([base, (0.3 * speed) ** 2 + base / PERIOD**2, SLOW**2]),
+    )
+    kick = (WHITE / INERTIA) ** 2 * PERIOD
+    noise = np.diag([kick * PERIOD**2 / 3, kick, SLOW**2 * (1 - keeps**2)])
+    noise[0, 1] = noise[1, 0] = 0.5 * kick * PERIOD
+    errors, variances, repeated = np.zeros(N), np.ones(N), 1
+    for k in range(N):
+        if k:
+            repeated = repeated + 1 if y[k] == y[k - 1] else 1
+            s = p[0, 0] + ENCODER**2 + RESOLUTION**2 / 12 * repeated + (INSTANTS * x[1]) ** 2
+            errors[k], variances[k] = y[k] - x[0], s
+            gain = p[:, 0] / s
+            x, p = x + gain * errors[k], p - np.outer(gain, gain) * s
+        root = np.sqrt(3.0) * np.linalg.cholesky(p)
+        points = x + np.concatenate([root.T, -root.T])
+        pairs = [(2 * i, 2 * i + 2) for i in range(6)]
+        for span, j in ((rest, k - whole - 1), (PERIOD - rest, k - whole)):
+            command = np.full(12, KP * target[max(j, 0)])
+            law = Law(command, np.ones(12), KP, KD, limit=limit, held=True)
+            q, qd = follow(
+                joint, values[None], law, span, pairs, points[:, 0], points[:, 1],
+                push=np.repeat(points[:, 2], 2)[None], step=1e-4,
+            )  # fmt: skip
+            points[:, 0], points[:, 1] = q[0, 1::2], qd[0, 1::2]
+        points[:, 2] *= keeps
+        x = points.mean(axis=0)
+        p = np.cov(points.T, bias=True) + noise
+    return errors, variances
+
+
+@pytest.mark.parametrize("limit", [np.inf, 0.9])
+def test_a_joint_that_reverses_and_saturates_has_the_points_moments(limit):
+    """Where its motion is linear enough no points are moved; both say the same to a hundredth."""
+    rng = np.random.default_rng(8)
+    time = PERIOD * np.arange(N)
+    target = 0.9 * np.sin(6.0 * time) + 0.1 * np.sin(31.0 * time)
+    numbers = {"motor.inertia": INERTIA, "motor.viscous": VISCOUS, "motor.coulomb": 0.15}
+    numbers |= {"load.first_moment": 0.03}
+    plain = HARD.vector({**numbers, "target.delay": 0.0})
+    law = Law(KP * target, np.ones(N), KP, KD, limit=limit, held=True)
+    q, _ = follow(HARD, plain[None], law, PERIOD, [(0, N)], [0.0], [0.0])
+    y = q[0] + 1e-3 * rng.standard_normal(N)
+    noise = np.array([[SLOW, TAU, WHITE, ENCODER, INSTANTS]])
+    values = HARD.vector({**numbers, "target.delay": LATE})
+    error, variance = innovations(
+        HARD, values[None], noise, law, PERIOD, [(0, N)], y, np.ones(N, bool),
+        resolution=RESOLUTION, step=1e-3,
+    )  # fmt: skip
+    wanted_error, wanted_variance = by_points(HARD, plain, target, limit, y)
+    assert np.abs(error[0] - wanted_error).max() < 0.01 * np.sqrt(wanted_variance.min())
+    np.testing.assert_allclose(variance[0], wanted_variance, rtol=0.01)
+
+
+def test_the_effect_of_a_torque_is_that_of_the_same_offset():
+    """Against the errors of a joint whose motor has the torque as its offset; without kinks."""
+    rng = np.random.default_rng(9)
+    joint, time, small = replace(HARD, offset=True), PERIOD * np.arange(N), 1e-5
+    numbers = {"motor.inertia": INERTIA, "motor.viscous": VISCOUS, "motor.coulomb": 0.0}
+    numbers |= {"load.first_moment": 0.03, "target.delay": LATE}
+    vectors = np.array([joint.vector({**numbers, "offset": x}) for x in (0.0, -small)])
+    law = Law(KP * 0.9 * np.sin(6.0 * time), np.ones(N), KP, KD, held=True)
+    q, _ = follow(joint, vectors[:1], law, PERIOD, [(0, N)], [0.0], [0.0])
+    y = q[0] + 1e-3 * rng.standard_normal(N)
+    noise = np.array([[SLOW, TAU, WHITE, ENCODER, 0.0]])  # gains then change by no speed
+    arguments = (law, PERIOD, [(0, N)], y, np.ones(N, bool))
+    errors, _ = innovations(
+        joint, vectors, np.repeat(noise, 2, axis=0), *arguments, resolution=RESOLUTION
+    )
+    effects, _ = innovations(
+        joint, vectors[:1], noise, *arguments, pushes=np.ones((1, N)), resolution=RESOLUTION
+    )
+    change = (errors[1] - errors[0]) / small
+    assert np.linalg.norm(effects[0] - change) < 1e-3 * np.linalg.norm(change)
+
+
 @pytest.mark.parametrize("computed", ["load_torque", "arm"])
 def test_an_inertia_by_a_column_is_an_inertia(computed):
     """A torque that is an inertia times the recorded acceleration is no torque, but inertia."""
