@@ -80,11 +80,6 @@ class Departures:
         """Whether the models change."""
         return any(departure.kind != "payload" for departure in self.included)
 
-    @property
-    def without_gravity(self) -> bool:
-        """Whether efforts hold no gravity."""
-        return Departure("gravity") in self.included
-
     def doubted(self, name: str, result: Result) -> Result:
         """Doubt the numbers of a joint that the scale of its effort multiplies, and widen them."""
         if name not in self.joints:
