@@ -58,11 +58,11 @@ def unwrapped(values: Array, turn: float | None = None) -> tuple[Array, float, i
     Jumps that remain have no modulus (0).
     """
     at = np.flatnonzero(np.isfinite(values))
-    steps, rows = np.diff(values[at]), np.diff(at)
-    span = float(np.ptp(values[at])) if at.size else 0.0
+    finite = values[at]
+    steps, span = np.diff(finite), float(np.ptp(finite)) if at.size else 0.0
     if not steps.size or np.abs(steps).max() <= 0.5 * span:
         return values, 0.0, 0
-    is_integer = bool(np.all(values[at] == np.round(values[at])))
+    rows, is_integer = np.diff(at), bool(np.all(finite == np.round(finite)))
     # a counter jumps against the motion, by a modulus less a step of it
     is_jump = np.abs(steps) > 0.5 * span
     usual = float((np.abs(steps) / rows)[~is_jump].max(initial=0.0))
@@ -102,11 +102,16 @@ def failed_reads(values: Array, longest: int | None) -> tuple[Flags, float]:
     from each other.
     """
     at = np.flatnonzero(np.isfinite(values))
-    levels, flags = np.unique(values[at]), np.zeros(values.size, dtype=np.bool_)
-    ends = ((levels[0], levels[1:]), (levels[-1], levels[-2::-1])) if levels.size > 3 else ()
-    codes = [x for x, rest in ends if abs(x - rest[0]) > np.ptp(rest) and x == np.round(x)]
-    for code in (*codes[::-1], 0.0):
-        shifted = values[at] - code
+    finite, flags = values[at], np.zeros(values.size, dtype=np.bool_)
+    low, high = finite.min(initial=np.inf), finite.max(initial=-np.inf)
+    inner = finite[(finite > low) & (finite < high)]
+    # an end, and the ends of all other values, of which there are three at least
+    ends = [(high, inner.max(), low), (low, inner.min(), high)] if inner.size else []
+    ends = ends if inner.size and np.ptp(inner) else []
+    codes = [x for x, a, b in ends if abs(x - a) > abs(a - b) and x == np.round(x)]
+    del inner
+    for code in (*codes, 0.0):
+        shifted = finite - code
         failed = [x for x in runs(shifted == 0.0) if longest is None or x[1] - x[0] <= longest]
         # one row may be a shock
         if not failed or not shifted.any() or (code and not 1 < len(failed) < 0.1 * at.size):
@@ -117,7 +122,7 @@ def failed_reads(values: Array, longest: int | None) -> tuple[Flags, float]:
         after = shifted[np.where(end < at.size, end, begin - 1)]
         same = before * after > 0.0
         begin, end, near_by = begin[same], end[same], np.minimum(abs(before), abs(after))[same]
-        steps = np.abs(np.diff(shifted, append=shifted[-1]))
+        steps = np.append(np.abs(np.diff(shifted)), 0.0)
         steps[begin - 1] = steps[end - 1] = 0.0
         far = near_by > 2.0 * steps.max(initial=0.0)
         for a, b in zip(begin[far].tolist(), end[far].tolist(), strict=True):

@@ -113,6 +113,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
     source, table, time = aligned(source, table, drive)
+    table, time = _in_parts(source, table, time, processing.max_samples)
     table, time, stale, pace, warnings = _as_measured(source, table, time)
     # of signals that are known throughout
     table = table.decoded({"": np.ones(len(time))}, ())
@@ -314,6 +315,19 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
             turns = np.round((middle * by - goal * unit) / size)
             decoded[column] = decoded.get(column, table.values(column)) + turns * size / unit
     return source.model_copy(update=update), table.decoded(decoded, notes)
+
+
+def _in_parts(source: Columns, table: Table, time: Array, most: int) -> tuple[Table, Array]:
+    """Limit a long recording to ``most`` samples, in up to eight parts all over what is chosen."""
+    first, last = chosen_rows(source, time, table.where)
+    # between parts there must be gaps
+    if last - first <= most + measurement.LEAST_SAMPLES:
+        return table, time
+    ranges = measurement.spread_ranges(last - first, most)
+    rows = np.concatenate([np.arange(first + a, first + b) for a, b in ranges])
+    note = f"time: {rows.size} of {last - first} samples are used, in {len(ranges)} parts all over "
+    note += "the recording (max_samples)"
+    return table.at(rows, time.size).decoded({}, [note]), time[rows]
 
 
 def _as_measured(

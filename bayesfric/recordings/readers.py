@@ -9,15 +9,16 @@ import io
 import re
 import warnings
 import zipfile
+from array import array
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,15 +157,24 @@ def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
         raise BadInput(where or str(path), problem, "export it again; it may be cut off") from error
 
 
+@contextmanager
+def _open_text(path: Path) -> Iterator[TextIO]:
+    """Open a text, which must be UTF-8, or UTF-16 with a byte order mark."""
+    with path.open("rb") as data:
+        wide = data.peek(2)[:2] in (BOM_UTF16_LE, BOM_UTF16_BE)
+        try:
+            yield io.TextIOWrapper(data, encoding="utf-16" if wide else "utf-8-sig")
+        except UnicodeDecodeError as error:
+            # of what was read last
+            place, kind = data.tell() - len(error.object) + error.start, "UTF-16" * wide or "UTF-8"
+            raise BadInput(
+                f"{path}, byte {place}", f"is not {kind} text", "save it as UTF-8"
+            ) from error
+
+
 def _read_text(path: Path) -> str:
-    """Return a file's text, which must be UTF-8, or UTF-16 with a byte order mark."""
-    data = path.read_bytes()
-    kind = "UTF-16" if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "UTF-8"
-    try:
-        return data.decode("utf-16" if kind == "UTF-16" else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        where = f"{path}, byte {error.start}"
-        raise BadInput(where, f"is not {kind} text", "save it as UTF-8") from error
+    with _open_text(path) as stream:
+        return stream.read()
 
 
 def _cells(values: list[Any]) -> NDArray[Any]:
@@ -181,35 +191,39 @@ def _cells(values: list[Any]) -> NDArray[Any]:
 
 def _read_delimited(path: Path, options: TableOptions) -> Table:
     """Detect marks, header and a row of units; refuse rows of another width, with their line."""
-    text = _read_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    lines = [n for n, line in enumerate(text, 1) if n > options.skip_rows and line.strip()]
-    if not lines:
+    head = list(islice(_lines(path, options.skip_rows + 1), 400))
+    if not head:
         after = f" after {options.skip_rows} skipped lines" if options.skip_rows else ""
         raise BadInput(str(path), f"is empty{after}", "check whether the recorder wrote anything")
-    # of a commented header, as numpy.savetxt writes it, the mark is no cell
-    text = [line.lstrip("#").lstrip() if line.startswith("#") else line for line in text]
-    head = [text[n - 1] for n in lines[:400]]
-    if any(map(_TRACE_VARIABLE.match, head)):
-        return _read_trace(path, [text[n - 1] for n in lines], options)
-    delimiter, decimal = _marks(head, options)
-    rows = [_split(line, delimiter) for line in head]
-    table, first = _titled(path, lines, rows, decimal)
-    body, width = [text[n - 1] for n in lines[first:]], len(table.names)
-    if not body:
+    lines, texts = zip(*head, strict=True)
+    if any(map(_TRACE_VARIABLE.match, texts)):
+        return _read_trace(path, (line for _, line in _lines(path, lines[0])), options)
+    delimiter, decimal = _marks(texts, options)
+    table, first = _titled(path, lines, [_split(line, delimiter) for line in texts], decimal)
+    if first == len(head):
         problem = "holds a header but no row of numbers"
         raise BadInput(str(path), problem, "check the recorder's export")
-    for n, line in zip(lines[first:], body, strict=True):
-        if (count := len(_split(line, delimiter))) != width:
-            problem = f"has {count} cells, the table has {width} columns"
-            raise BadInput(f"{path}, line {n}", problem, "correct the row, or cut the file there")
-    load = _numbers(body, delimiter) if decimal == "." else None
-    load = load or _cells_by_pandas(path, body, width, delimiter, decimal)
+    # texts of a long table take ten times the memory of its numbers
+    used = array("i", (n for n, _ in _lines(path, lines[first])))
+    body, shape = (line for _, line in _lines(path, lines[first])), (len(used), len(table.names))
+    load = _numbers(body, shape, delimiter) if decimal == "." else None
+    load = load or _texts(path, _lines(path, lines[first]), shape[1], delimiter)
     comma = ("numbers have a decimal comma",) if decimal == "," else ()
     notes = (*comma, *table.notes)
-    return dataclasses.replace(table, load=load, decimal=decimal, notes=notes)
+    return dataclasses.replace(table, load=load, lines=used, decimal=decimal, notes=notes)
 
 
-def _numbers(body: Sequence[str], delimiter: str) -> LoadColumn | None:
+def _lines(path: Path, first: int) -> Iterator[tuple[int, str]]:
+    """Read number and text of the lines that are not blank, from number ``first`` on."""
+    with _open_text(path) as stream:
+        for n, line in enumerate(stream, 1):
+            if n >= first and line.strip():
+                # of a commented header, as numpy.savetxt writes it, the mark is no cell
+                text = line.lstrip("#").lstrip() if line[0] == "#" else line
+                yield n, text.removesuffix("\n")
+
+
+def _numbers(body: Iterable[str], shape: tuple[int, int], delimiter: str) -> LoadColumn | None:
     """Read a table of nothing but finite numbers; pandas takes a third of a second to import."""
     mark = None if delimiter == "whitespace" else delimiter
     try:
@@ -217,28 +231,25 @@ def _numbers(body: Sequence[str], delimiter: str) -> LoadColumn | None:
     except ValueError:
         return None
     # larger ones are whole numbers that would be rounded
-    return numbers.T.__getitem__ if (np.abs(numbers) < 2.0**53).all() else None
+    exact = numbers.min() > -(2.0**53) and numbers.max() < 2.0**53
+    return numbers.T.__getitem__ if exact and numbers.shape == shape else None
 
 
-def _cells_by_pandas(
-    path: Path, body: Sequence[str], width: int, delimiter: str, decimal: str
-) -> LoadColumn:
-    """Read a table of any cells."""
-    import pandas as pd
+def _texts(path: Path, lines: Iterable[tuple[int, str]], width: int, delimiter: str) -> LoadColumn:
+    """Read a table of any cells: a column of nothing but ``true`` and ``false``, or of text."""
+    rows = list[list[str]]()
+    for n, line in lines:
+        rows.append(cells := _split(line, delimiter))
+        if len(cells) != width:
+            problem = f"has {len(cells)} cells, the table has {width} columns"
+            raise BadInput(f"{path}, line {n}", problem, "correct the row, or cut the file there")
 
-    separator = r"\s+" if delimiter == "whitespace" else delimiter
-    try:
-        frame = pd.read_csv(
-            io.BytesIO("\n".join(body).encode()), sep=separator, header=None,
-            decimal=decimal, na_filter=False, skipinitialspace=True, low_memory=False,
-        )  # fmt: skip
-    except (pd.errors.ParserError, ValueError) as error:
-        problem = f"is not readable as CSV ({error})"
-        raise BadInput(str(path), problem, "check its rows and quotes") from error
-    if frame.shape != (len(body), width):
-        problem = f"has {len(body)} lines of {width} cells, read as {frame.shape}"
-        raise BadInput(str(path), problem, "close the quotes")
-    return lambda index: frame.iloc[:, index].to_numpy()
+    def load(index: int) -> NDArray[Any]:
+        cells = np.array([row[index] for row in rows], dtype=object)
+        words = [cell.lower() for cell in cells] if cells[0].lower() in ("true", "false") else [""]
+        return np.array(words) == "true" if {*words} <= {"true", "false"} else cells
+
+    return load
 
 
 def _titled(
@@ -343,7 +354,7 @@ def _find_header(
 _TRACE_VARIABLE = re.compile(r"\d+\.Variable\s*;(.*)")
 
 
-def _read_trace(path: Path, lines: Sequence[str], options: TableOptions) -> Table:
+def _read_trace(path: Path, lines: Iterable[str], options: TableOptions) -> Table:
     """Read a PLC's trace, one column a variable with time stamps of its own."""
     blocks = dict[str, list[list[str]]]()
     for line in lines:

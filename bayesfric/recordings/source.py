@@ -364,6 +364,9 @@ class Processing(Options):
     trim: Seconds | None = Field(
         None, description="Cut off each segment's ends, s; by samples and low-pass if left out."
     )
+    max_samples: int = Field(
+        1_000_000, ge=1000, description="Samples of a longer recording that are used, in parts."
+    )
 
     @property
     def chooses_band(self) -> bool:

@@ -210,12 +210,12 @@ class Table:
     def stamps(self, key: str | int) -> Array:
         """Return time stamps ``(n,)``, NaN in holes; the others must increase."""
         times, rows = self.values(key), np.flatnonzero(~self.holes(key))
-        time, filled = times[rows], self.at(rows, times.size)
-        if not np.isfinite(time).all():
-            filled.column(key)  # names the cell
-        wrong = np.diff(time) <= 0
-        if not wrong.any():
+        time = times[rows]
+        wrong = ~(np.diff(time) > 0.0)
+        if not wrong.any() and np.isfinite(time).all():
             return times
+        filled = self.at(rows, times.size)
+        filled.column(key)  # names a cell that is no number
         index = int(np.argmax(wrong)) + 1
         # a clock that was set back is in order before and after
         set_back = np.count_nonzero(time < np.maximum.accumulate(time)) > 3 * wrong.sum()

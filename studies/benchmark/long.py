@@ -23,13 +23,17 @@ FOLDER = Path(__file__).resolve().parent
 SOURCE = FOLDER.parents[1]
 
 
-def once(samples: int, folder: Path) -> None:
-    """Simulate and fit, and print time, peak memory of child processes and file size."""
+def simulate(samples: int, folder: Path) -> None:
+    """Make the demo's recording so long."""
     from bayesfric.commands.fit import demo_config
 
     text = demo_config().text.replace("duration = 10.0", f"duration = {samples / 1e3}")
     (folder / "knee.toml").write_text(text, encoding="utf-8")
     timed([*BAYESFRIC, "simulate", "knee.toml", "-o", "knee.csv"], SOURCE, folder)
+
+
+def once(samples: int, folder: Path) -> None:
+    """Fit, and print time, peak memory of child processes and file size."""
     timed(["-c", IMPORTS], SOURCE, folder)  # fills the disk cache
     base = timed(["-c", IMPORTS], SOURCE, folder)[2]
     cpu = timed([*BAYESFRIC, "fit", "knee.toml", "-o", "run"], SOURCE, folder)[2]
@@ -40,7 +44,7 @@ def once(samples: int, folder: Path) -> None:
 
 
 def main() -> None:
-    """Run each length in a separate parent process, one after the other."""
+    """Simulate each length and fit it in a separate parent process, one after the other."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, nargs="*", default=[10**k for k in range(4, 8)])
     parser.add_argument("--once", help=argparse.SUPPRESS)
@@ -51,6 +55,7 @@ def main() -> None:
     result = []
     for samples in options.samples:
         with tempfile.TemporaryDirectory() as folder:
+            simulate(samples, Path(folder))
             words = [sys.executable, __file__, "--once", folder, "--samples", str(samples)]
             row = json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout)
         if result:

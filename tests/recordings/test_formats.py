@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import tracemalloc
 
 import numpy as np
 import pandas as pd
@@ -48,6 +49,18 @@ DIALECTS = {
 def test_dialects(tmp_path, name, end):
     write(tmp_path, end.join(DIALECTS[name]) + end)
     same(read(tmp_path, numbered() if name == "numpy" else source())[0])
+
+
+def test_a_text_is_read_without_being_held(tmp_path):
+    count = 50_000
+    np.savetxt(tmp_path / "run.csv", np.random.default_rng(0).normal(size=(count, 3)), "%.15f", ",")
+    tracemalloc.start()
+    table = read_table(tmp_path / "run.csv", TableOptions())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert np.all([np.isfinite(table.values(key)).sum() == count for key in (1, 2, 3)])
+    # three numbers and a line's, twice where arrays grow; a line of text alone takes 100 bytes
+    assert peak < 2 * count * (3 * 8 + 4)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])

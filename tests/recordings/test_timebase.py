@@ -39,6 +39,20 @@ def test_gaps_make_segments():
     np.testing.assert_allclose(recording.torque, np.interp(recording.time, t, tau), atol=1e-3)
 
 
+@pytest.mark.parametrize("keys", [{}, {"start": 20, "stop": 180}], ids=["all", "chosen"])
+def test_a_long_recording_is_used_in_parts_all_over_it(keys):
+    t, q, tau = swing(20_000)
+    counter = 5.0 * q % (2.0 * np.pi)
+    recording = measured(Recording.from_arrays(t, counter, tau, **keys), max_samples=8000)
+    assert [b - a for a, b in recording.segments] == 8 * [1000]
+    assert recording.time[[0, -1]] == pytest.approx([keys.get("start", 0), keys.get("stop", t[-1])])
+    at = np.searchsorted(t, recording.time - 0.005)
+    np.testing.assert_allclose(recording.time, t[at], atol=1e-9)
+    np.testing.assert_array_equal(recording.torque, tau[at])
+    # unwrapped before it is parted
+    np.testing.assert_allclose(np.ptp(recording.position - 5.0 * q[at]), 0.0, atol=1e-9)
+
+
 def test_resampling_a_smooth_signal_is_accurate():
     t = np.cumsum(np.random.default_rng(3).uniform(0.8e-3, 1.2e-3, 3000))
     t -= t[0]
