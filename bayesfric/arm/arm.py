@@ -38,7 +38,7 @@ from bayesfric.problem.config import (
     read_toml,
     recording_table,
 )
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.filters import interpolated
 from bayesfric.recordings.measurement import Measurement
 
@@ -213,6 +213,7 @@ class Arm:
                 self.options.of(name).gear_ratio,
                 directions,
                 repeatability=self.options.repeatability,
+                is_loaded=rms(np.concatenate([torque[0] for torque in torques])) > resolved,
             )
             try:
                 if isinstance(effort, BadInput):
@@ -225,8 +226,10 @@ class Arm:
                 joint = replace(
                     joint,
                     remarks=tuple(remarks(joint.joint, effort)),
-                    urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
-                    is_loaded=_rms([urdf]) > resolved,
+                    urdf={
+                        "torque_rms": rms(urdf),
+                        "doubt_rms": rms(np.linalg.norm(deviations, axis=0)),
+                    },
                 )
             except BadInput as error:
                 joint = replace(joint, failure=str(error))
@@ -374,8 +377,3 @@ def remarks(joint: UrdfJoint, recording: Measurement) -> Iterator[str]:
     if travel > 1.5 * limit:
         limits = f"its limits in the URDF over {limit:.3g}"
         yield f"its positions range over {travel:.3g}, {limits}: is their unit right?"
-
-
-def _rms(torques: Sequence[Array]) -> float:
-    """Root mean square of a sum of independent torques."""
-    return float(np.sqrt(sum(np.mean(x**2) for x in torques)))

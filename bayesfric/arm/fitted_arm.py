@@ -145,13 +145,6 @@ class FittedJoint:
         draws = self.coefficients(self.fitted.fit.wide.posterior.flat())
         return InertialLikelihood.from_draws(draws, self.directions)
 
-    @property
-    def separate_deviations(self) -> Array:
-        """Mean deviations ``(n_deviations,)`` of the inertial parameters by this fit alone."""
-        posterior = self.fitted.fit.posterior
-        names = [f"load.{signal}" for signal in signals(self.directions.shape[1])]
-        return np.asarray(self.directions @ [posterior[name].mean() for name in names])
-
     def draws(self, z: Array, rng: np.random.Generator) -> Array:
         """Draw parameters ``(n, d)`` given deviations ``(n, n_deviations)``.
 
