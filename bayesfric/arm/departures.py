@@ -296,18 +296,18 @@ def find_departures(
             n for n in names if any(x[:2] in (("effort", n), ("efforts", "")) for x in departures)
         ]
 
-    def scale(departures: Sequence[Departure], name: str) -> tuple[float, float]:
+    def scale_of(departures: Sequence[Departure], name: str) -> tuple[float, float]:
         """Scale of a joint's effort, and its relative sd."""
         _, mean, covariance = evidence.posterior(departures)
         value, variance = 1.0 + mean[numbers[name]], covariance[(numbers[name],) * 2]
         return float(value), float(math.sqrt(variance) / abs(value))
 
-    scales = {name: scale(included, name) for name in scaled(included)}
+    scales = {name: scale_of(included, name) for name in scaled(included)}
     doubtful, ranges = scaled((*included, *alternatives)), dict[str, tuple[float, float]]()
     for name in doubtful:
         undone, ends = abs(scales.get(name, (1.0,))[0]), [1.0]
         for departures in others:
-            value, width = scale(departures, name)
+            value, width = scale_of(departures, name)
             ends += [abs(value) / undone * math.exp(side * HALF * width) for side in (-1.0, 1.0)]
         ranges[name] = min(ends), max(ends)
     alone = [each.name for each in included if each.kind == "effort"]
