@@ -18,7 +18,7 @@ import numpy as np
 from bayesfric.arm.arm_closed_loop import common_timing, own_columns
 from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import ArmOptions
+from bayesfric.arm.arm_options import ArmOptions, Gain
 from bayesfric.arm.departures import (
     bodies_torques,
     common_delay,
@@ -38,7 +38,7 @@ from bayesfric.problem.config import (
     read_toml,
     recording_table,
 )
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, rms
 from bayesfric.recordings.filters import interpolated
 from bayesfric.recordings.measurement import Measurement
 
@@ -179,7 +179,8 @@ class Arm:
             bodies, prior = bodies.under(departures.gravity), prior.widened(departures.widths)
             for log in logs:
                 log.scales = departures.scales
-            joints, models, torques = self._models(bodies, prior, logs, others, delay)
+            gains = departures.gains
+            joints, models, torques = self._models(bodies, prior, logs, others, delay, gains)
         urdf = JointConsistency(np.zeros((1, len(prior.deviations))), 1.0, 1.0, {}, ())
         arm = FittedArm(bodies, logs, joints, prior, urdf, departures, assumed, late)
         return arm, models, torques
@@ -191,6 +192,7 @@ class Arm:
         logs: Sequence[ArmLog],
         held_out: Sequence[str],
         delay: float,
+        gains: Mapping[str, float] = {},
     ) -> tuple[dict[str, FittedJoint], dict[str, Model], dict[str, list[Array]]]:
         """Make the joints that are to be fitted, and the models of those that can be.
 
@@ -213,20 +215,24 @@ class Arm:
                 self.options.of(name).gear_ratio,
                 directions,
                 repeatability=self.options.repeatability,
+                is_loaded=rms(np.concatenate([torque[0] for torque in torques])) > resolved,
             )
             try:
                 if isinstance(effort, BadInput):
                     raise effort
                 further = own_columns(bodies, name, directions, logs, parameters)
-                models[name] = self._model(joint, logs, torques, further, held_out, delay)
+                settings = further, held_out, delay, gains.get(name)
+                models[name] = self._model(joint, logs, torques, *settings)
                 observations = models[name].observations
                 compared = [o.filter.apply(bodies_torques(o)) for o in observations]
                 urdf, *deviations = np.concatenate(compared, axis=1)
                 joint = replace(
                     joint,
                     remarks=tuple(remarks(joint.joint, effort)),
-                    urdf={"torque_rms": _rms([urdf]), "doubt_rms": _rms(deviations)},
-                    is_loaded=_rms([urdf]) > resolved,
+                    urdf={
+                        "torque_rms": rms(urdf),
+                        "doubt_rms": rms(np.linalg.norm(deviations, axis=0)),
+                    },
                 )
             except BadInput as error:
                 joint = replace(joint, failure=str(error))
@@ -312,10 +318,12 @@ class Arm:
         further: Sequence[Mapping[str, Array]],
         held_out: Sequence[str],
         delay: float,
+        gain: Gain | None,
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque.
 
-        ``delay`` is that of positions after efforts, s, unless the joint's options have another.
+        ``delay`` is that of positions after efforts, s, and ``gain`` that of the drive, unless the
+        options have others.
         """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)
@@ -332,7 +340,7 @@ class Arm:
             inertia = joint_options.rotor_inertia * joint_options.gear_ratio**2
             priors["motor.inertia"] = {**normal, "loc": inertia, "scale": 0.2 * inertia}
         delay = delay if joint_options.delay is None else joint_options.delay
-        gain = joint_options.gain or options.gain
+        gain = joint_options.gain or options.gain or gain
         if delay:
             priors["target.delay" if by_target else "drive.delay"] = delay
         if gain:
@@ -374,8 +382,3 @@ def remarks(joint: UrdfJoint, recording: Measurement) -> Iterator[str]:
     if travel > 1.5 * limit:
         limits = f"its limits in the URDF over {limit:.3g}"
         yield f"its positions range over {travel:.3g}, {limits}: is their unit right?"
-
-
-def _rms(torques: Sequence[Array]) -> float:
-    """Root mean square of a sum of independent torques."""
-    return float(np.sqrt(sum(np.mean(x**2) for x in torques)))

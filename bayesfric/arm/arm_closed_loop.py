@@ -19,7 +19,7 @@ from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.fit.model import Model
 from bayesfric.inference.closed_loop import ClosedLoopLikelihood
-from bayesfric.inference.closed_loop_fit import closed_loop_mode, slope_and_information
+from bayesfric.inference.closed_loop_fit import closed_loop_mode
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.problem.config import with_settings
@@ -62,9 +62,7 @@ def common_timing(models: Mapping[str, Model], progress: ProgressCallback) -> Ti
         start, seed = model.starting_point(), model.config.tables.sampling.seed
         mode = closed_loop_mode(start.target, start.estimates, seed, largest=math.inf)
         target, names = mode.target, mode.target.names
-        steps = np.full(mode.mode.size, 1e-3)
-        _, information = slope_and_information(target, mode.mode, steps)
-        sds = np.sqrt(np.diag(np.linalg.inv(information)))
+        sds = np.sqrt(np.diag(np.linalg.inv(mode.information)))
         centre, moved = target.to_parameters(mode.mode + np.stack([0.0 * sds, 1e-3 * sds]))[0]
         modes[name] = dict(zip(names, centre.tolist(), strict=True))
         joints[name] = {

@@ -32,6 +32,7 @@ from bayesfric.arm.inertial_prior import PER_BODY, Bodies, InertialPrior
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.point_estimate import HALF
 from bayesfric.fit.model import Model, Result
 from bayesfric.inference.priors import as_knowledge, read_prior
 from bayesfric.recordings.arrays import Array
@@ -68,7 +69,10 @@ class Departures:
     alternatives: tuple[Departure, ...]  # in addition or in place of one, not much less likely
     joints: Mapping[str, tuple[float, float]]  # of those whose effort may have another scale
     bodies: tuple[float, float]  # of all together, by joints whose effort has none
-    scales: Mapping[str, float]  # of efforts
+    scales: Mapping[str, float]  # of efforts, which are undone
+    gains: Mapping[str, float]  # relative sds of these, which fits estimate as gains of drives
+    # 90 % ranges of the scales of `joints` over those undone, by what data favour as well
+    ranges: Mapping[str, tuple[float, float]]
     gravity: Vector
     widths: Array  # (n_deviations,) factors on standard deviations
 
@@ -77,13 +81,8 @@ class Departures:
         """Whether the models change."""
         return any(departure.kind != "payload" for departure in self.included)
 
-    @property
-    def without_gravity(self) -> bool:
-        """Whether efforts hold no gravity."""
-        return Departure("gravity") in self.included
-
     def doubted(self, name: str, result: Result) -> Result:
-        """Doubt the numbers of a joint that the scale of its effort multiplies."""
+        """Doubt the numbers of a joint that the scale of its effort multiplies, and widen them."""
         if name not in self.joints:
             return result
         summary, scaled = result.summary, ("motor.", "offset")
@@ -98,7 +97,12 @@ class Departures:
         if abs(factor) < 3.0 * sd:
             doubt["cause"] = "another axis than in the URDF, or another joint's column"
         doubts = [message.model_dump() for message in summary.doubts]
-        return replace(result, summary=put_doubts(summary, [*doubts, doubt]))
+        changes, (low, high) = {}, self.ranges[name]
+        for key in of:
+            ends = np.outer(summary.parameters[key].reported.interval, [1.0 / high, 1.0 / low])
+            interval, sd = (float(ends.min()), float(ends.max())), float(np.ptp(ends)) / 2.0 / HALF
+            changes[key] = {"model_error_interval": interval, "model_error_sd": sd}
+        return replace(result, summary=put_doubts(summary.with_rows(changes), [*doubts, doubt]))
 
 
 def bodies_torques(o: Signals) -> Array:
@@ -226,10 +230,10 @@ class Evidence:
                 gain, scale = float(gains[best]), float(scales[best])
                 yield value + self._odds(kind) + gain, Departure(kind, name, scale)
 
-    def likeliest(self) -> tuple[tuple[Departure, ...], tuple[Departure, ...]]:
-        """Add and drop departures until none is better; and the likeliest others of each kind.
+    def likeliest(self) -> tuple[tuple[Departure, ...], list[tuple[Departure, ...]]]:
+        """Add and drop departures until none is better; and with the likeliest others of each kind.
 
-        Data favour these, too, in addition to those included or in place of one.
+        Data favour these, the last of each, in addition to those included or in place of one.
         """
         included, value = tuple[Departure, ...](), self.posterior(())[0]
         while True:
@@ -240,14 +244,14 @@ class Evidence:
             if best <= value + 1e-9:
                 break
             value, included = best, option
-        alternatives = dict[str, Departure]()
+        alternatives = dict[str, tuple[Departure, ...]]()
         for kind, rest in (("", included), *zip([x.kind for x in included], rests, strict=True)):
             without = self.posterior(rest)[0]
             for v, departure in sorted(self.added(rest)):
                 least = max(value + math.log(_LEAST), without + self._odds(departure.kind))
                 if v > least and departure.kind != kind:
-                    alternatives[departure.kind] = departure
-        return included, tuple(alternatives.values())
+                    alternatives[departure.kind] = *rest, departure
+        return included, [*alternatives.values()]
 
 
 def find_departures(
@@ -276,7 +280,8 @@ def find_departures(
         "body": {prior.deviations[k][0]: unit[:, [k]] for k in range(1, of_links)},
     }
     evidence = Evidence(information, vector, count if payload else of_links, columns)
-    included, alternatives = evidence.likeliest()
+    included, others = evidence.likeliest()
+    alternatives = tuple(departures[-1] for departures in others)
     _, mean, covariance = evidence.posterior(included)
 
     def factor(at: Sequence[int], *, of_efforts: bool) -> tuple[float, float]:
@@ -291,6 +296,20 @@ def find_departures(
             n for n in names if any(x[:2] in (("effort", n), ("efforts", "")) for x in departures)
         ]
 
+    def scale_of(departures: Sequence[Departure], name: str) -> tuple[float, float]:
+        """Scale of a joint's effort, and its relative sd."""
+        _, mean, covariance = evidence.posterior(departures)
+        value, variance = 1.0 + mean[numbers[name]], covariance[(numbers[name],) * 2]
+        return float(value), float(math.sqrt(variance) / abs(value))
+
+    scales = {name: scale_of(included, name) for name in scaled(included)}
+    doubtful, ranges = scaled((*included, *alternatives)), dict[str, tuple[float, float]]()
+    for name in doubtful:
+        undone, ends = abs(scales.get(name, (1.0,))[0]), [1.0]
+        for departures in others:
+            value, width = scale_of(departures, name)
+            ends += [abs(value) / undone * math.exp(side * HALF * width) for side in (-1.0, 1.0)]
+        ranges[name] = min(ends), max(ends)
     alone = [each.name for each in included if each.kind == "effort"]
     together = [j for name, j in numbers.items() if name not in alone]
     variances = np.ones(count)
@@ -302,10 +321,12 @@ def find_departures(
         alternatives,
         {
             name: factor([numbers[name]] if name in alone else together, of_efforts=True)
-            for name in scaled((*included, *alternatives))
+            for name in doubtful
         },
         factor(together, of_efforts=False) if together else (1.0, 0.0),
-        {name: float(1.0 + mean[numbers[name]]) for name in scaled(included)},
+        {name: value for name, (value, _) in scales.items()},
+        {name: width for name, (_, width) in scales.items()},
+        ranges,
         (0.0, 0.0, 0.0) if Departure("gravity") in included else bodies.gravity,
         np.sqrt(variances),
     )
@@ -335,6 +356,8 @@ def common_delay(models: Mapping[str, Model]) -> ArmDelay:
     for _ in range(5):
         joints = {name: x for name, model in models.items() if (x := _delay_of(model, delay))}
         value, sd = combined(joints.values())
+        # jitter of the log's stamps is an error of all joints, which does not average out
+        sd = max(sd, min((own for _, own in joints.values()), default=sd))
         evident = value**2 > sd**2 * (math.log(max(outputs, 1)) + _STRONG)
         if not evident or abs(value - delay) < 0.5 * sd:
             break

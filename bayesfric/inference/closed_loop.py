@@ -166,10 +166,6 @@ class ClosedLoopLikelihood:
             for e, s in self.errors(values, scales)
         ]
 
-    def white_errors(self, values: Array, scales: Array) -> list[Array]:
-        """Return prediction errors over their sds ``(n, M)`` a recording."""
-        return [e / np.sqrt(s) for e, s in self.errors(values, scales)]
-
     @property
     def sizes(self) -> Array:
         """Numbers of outputs ``(R,)`` of the recordings."""

@@ -41,7 +41,7 @@ class ClosedLoopMode:
 
     target: Target  # its likelihood refers to the mode
     mode: Array  # (d,) coordinates
-    spread: Array  # (d,) of the priors, in coordinates
+    information: Array  # (d, d) there
     # shifts in sds from predictions of single readings to those of 20 ms, which are used
     faster: Mapping[str, float]
 
@@ -92,26 +92,23 @@ def closed_loop_mode(
     def climb_from(target: Target, u: Array) -> Array:
         return score(target, u, spread, on_step=lambda _: progress(Progress("searching the mode")))
 
-    def at_mode(target: Target, mode: Array, faster: Mapping[str, float]) -> ClosedLoopMode:
+    def at_mode(target: Target, mode: Array) -> ClosedLoopMode:
         at = target.at(target.to_parameters(mode[None])[0][0])
-        return ClosedLoopMode(at, mode, spread, faster)
+        return ClosedLoopMode(at, mode, slope_and_information(at, mode, 1e-3 * spread)[1], {})
 
     modes = [climb_from(target, u) for u in _starting_points(target, estimates, prior_draws, near)]
-    mode = modes[int(np.argmax(target(np.array(modes))))]
+    every = at_mode(target, modes[int(np.argmax(target(np.array(modes))))])
     if likelihood.longer == 1 or np.isinf(largest):
-        return at_mode(target, mode, {})
+        return every
     longer = copy(target)
     longer.likelihood = likelihood.with_stride(likelihood.longer)
-    far = climb_from(longer, mode)
-    narrow, wide = (
-        np.diag(np.linalg.inv(slope_and_information(t, u, 1e-3 * spread)[1]))
-        for t, u in ((target, mode), (longer, far))
-    )
+    far = at_mode(longer, climb_from(longer, every.mode))
+    narrow, wide = (np.diag(np.linalg.inv(at.information)) for at in (every, far))
     # the estimate of all readings is efficient if the model is right (Hausman 1978)
-    shift = (far - mode) / np.sqrt(np.maximum(wide - narrow, 0.1 * wide))
+    shift = (far.mode - every.mode) / np.sqrt(np.maximum(wide - narrow, 0.1 * wide))
     named = zip(target.free, shift.tolist(), strict=False)
     shifts = {name: x for name, x in named if abs(x) > largest}
-    return at_mode(longer, far, shifts) if shifts else at_mode(target, mode, {})
+    return replace(far, faster=shifts) if shifts else every
 
 
 def sample_closed_loop(
@@ -120,10 +117,8 @@ def sample_closed_loop(
     """Draw by importance, or where few draws count by emcee; the target has their coordinates."""
     target, place, rng = at_mode.target, at_mode.parameters, np.random.default_rng(sampling.seed)
     k = len(target.free)
-    _, information = slope_and_information(target, at_mode.mode, 1e-3 * at_mode.spread)
-    _, widths = place_and_widths(
-        target, Start(at_mode.mode, np.asarray(np.linalg.inv(information)))
-    )
+    covariance = np.asarray(np.linalg.inv(at_mode.information))
+    _, widths = place_and_widths(target, Start(at_mode.mode, covariance))
     # the likelihood is near normal in the parameters, and in the logarithms of the noise
     widths[k:] = np.nan
     scaled, by = _scaled_by_gain(target)
@@ -273,8 +268,9 @@ def score(
         else:
             break
         gain, u, height, damping = new - height, trial, new, damping / 5.0
+        # a step as long as Newton's that gains little ends at the mode
         small = small + 1 if gain < 0.05 else 0
-        if small >= 2:
+        if small >= 2 or (small and damping < 1e-3):
             break
     return u
 
@@ -344,7 +340,7 @@ def draw(
         if effective >= enough or len(draws) >= max_draws:
             break
         # a few to learn the shape from, then as many as are wanted at the efficiency so far
-        number = max(20 * d, int(1.2 * (enough - effective) / max(share, 0.05)))
+        number = max(20 * d, int((enough - effective) / max(share, 0.05)) + 1)
         number = min(number, max(20 * d, len(draws)), max_draws - len(draws))
         ratios = np.concatenate([ratios, new := proposals[-1].draw(number, random)])
         new = new.copy()

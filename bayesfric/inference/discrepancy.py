@@ -196,7 +196,8 @@ class LinearisedFit:
         )
         self.whitened: Callable[[Sequence[Array]], Array]
         if isinstance(full, ClosedLoopLikelihood):  # prediction errors over their sds are white
-            errors = np.concatenate(full.white_errors(values, scales), axis=1)
+            white = [e / np.sqrt(s) for e, s in full.errors(values, scales)]
+            errors = np.concatenate(white, axis=1)
             self.whitened = lambda outputs: np.concatenate(outputs, axis=-1).T
             self.rows = (errors[k : 2 * k] - errors[:k]).T / (2.0 * size)
             self.residual, self.sizes = errors[-1], full.sizes

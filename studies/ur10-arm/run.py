@@ -14,7 +14,7 @@ import pandas as pd
 
 import bayesfric as bf
 from bayesfric.arm.arm_rollout import rollout
-from bayesfric.arm.fitted_arm import FittedArm
+from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import combinations
 from bayesfric.base.progress import Timer
 from bayesfric.inference.posterior import Prediction, predict_held_out
@@ -154,6 +154,30 @@ def quality(prediction: Prediction) -> dict[str, float]:
     }
 
 
+def friction(joint_fit: FittedJoint, repeatability: float) -> dict[str, dict[str, list[float]]]:
+    """Return 90 % intervals of friction that authors publish, of this log and of another one.
+
+    Load-dependent friction at the URDF's mean load is a part of the step at standstill.
+    """
+    fit, (signals, *_) = joint_fit.result.fit, joint_fit.result.model.observations
+    draws, rows = fit.wide.posterior, joint_fit.result.summary.parameters
+    shifted = {
+        name: draws[name].ravel() + rows[name].reported.value - np.median(draws[name])
+        for name in draws.names
+        if name.startswith("motor.")
+    }
+    load = np.mean(np.abs(signals.inputs.load_torque.at(signals.stamps)))
+    step = shifted["motor.coulomb"] + shifted.get("motor.load", 0.0) * load
+    change = 1.0 + repeatability * np.random.default_rng(SEED).normal(size=step.size)
+    return {
+        key: {
+            "this log": np.quantile(x, (0.05, 0.95)).tolist(),
+            "another log": np.quantile(x * change, (0.05, 0.95)).tolist(),
+        }
+        for key, x in (("Coulomb", step), ("viscous", shifted["motor.viscous"]))
+    }
+
+
 def compared(
     fitted_log: Path, predicted_log: Path, joints: list[str] | None = None
 ) -> tuple[dict[str, dict], FittedArm]:
@@ -178,6 +202,7 @@ def compared(
             },
             "without repeatability": quality(wide[0]),
             "least squares": least_squares(joint_fit),
+            "friction": friction(joint_fit, arm.options.repeatability.friction),
             **record,
         }
     if not joints:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -51,10 +52,21 @@ def test_a_body_that_is_far_off_departs_from_the_urdf():
     record(factors={"lower": 2.0})
     arm = Arm("arm.urdf", {**QUICK, "payload": {"mass_sd": "0.1 kg"}}).fit("log.csv", seed=1)
     assert arm.departures.changes
-    statuses = {
-        row.reported.status for x in arm.joints.values() for row in x.number_rows("coulomb")
-    }
+    coulomb = {name: x.rows["motor.coulomb"].reported for name, x in arm.joints.items()}
+    statuses = {row.status for row in coulomb.values()}
     assert arm.inertial_estimate["p"] < 0.01 or statuses == {"doubtful"}
+    for name, row in coulomb.items():  # whichever it is
+        assert row.interval[0] < TRUTH[name]["motor.coulomb"] < row.interval[1]
+
+
+@pytest.mark.parametrize(("factor", "loaded"), [(1.0, True), (1e-6, False)])
+def test_friction_by_a_load_that_the_log_does_not_resolve_is_left_out(factor, loaded):
+    """Bodies of milligrams load their joints with less than the noise of 0.3 N m lets resolve."""
+    factors = dict.fromkeys(bench.LINKS, factor)
+    Path("arm.urdf").write_text(bench.urdf(factors))
+    record(factors=factors)
+    _, models, _ = Arm("arm.urdf", QUICK).prepared([Path("log.csv")])
+    assert {"motor.load" in model.chain.names for model in models.values()} == {loaded}
 
 
 def test_a_payload_in_one_of_two_logs_is_weighed():
