@@ -136,6 +136,8 @@ def recorded(row: str, number: int) -> tuple[bf.Joint, bf.Recording, dict[str, A
     load = bf.Load(first_moment=True, inertia=is_servo, gravity_angle=is_servo)
     motor = bf.Element("motor", inertia=True, viscous=True, coulomb="symmetric")
     truth = {f"motor.{n}": true[n] for n in names[:3]} | {"target.delay": true["delay"]}
+    if smooth:  # half of the time that the drive holds its own targets
+        truth["target.delay"] += 0.5 * passes * STEP
     truth |= {"drive.kp": kp} if options.get("unknown") else {}
     if is_servo:
         priors = {"load.first_moment": 0.0, "load.inertia": 0.0}
