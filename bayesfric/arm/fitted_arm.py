@@ -328,13 +328,17 @@ class FittedArm:
         q = np.concatenate([log.motion[0] for log in self.logs], axis=1)
         return np.stack([q.min(axis=1), q.max(axis=1)], axis=1)
 
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[Array, dict[str, Array]]:
+    def draw(
+        self, count: int, rng: np.random.Generator
+    ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
         """Draw inertial parameters and joints together, without model discrepancy.
 
-        Returns deviations ``(count, n_deviations)``, zero where no joint agrees, and by joint
-        parameters ``(count, n_parameters)`` in the order of its fit's chain.
+        Returns deviations ``(count, n_deviations)``, zero where no joint agrees; by joint
+        parameters ``(count, n_parameters)`` in the order of its fit's chain; and the deviations
+        that go with these of a joint that does not agree.
         """
-        consistency, values = self.consistency, {}
+        consistency, apart = self.consistency, dict[str, Array]()
+        values = dict[str, Array]()
         urdf = np.zeros((1, len(self.prior.deviations)))
         z = rng.choice(consistency.draws if consistency.agreed else urdf, count)
         for name, joint in self.fitted.items():
@@ -344,8 +348,12 @@ class FittedArm:
                 conditional = joint.draws(z, rng)
                 inside = np.isfinite(conditional).all(axis=1, keepdims=True)
                 draws = np.where(inside, conditional, draws)
+            else:
+                names = [f"load.{signal}" for signal in signals(joint.directions.shape[1])]
+                own = draws[:, [fit.posterior.names.index(column) for column in names]]
+                apart[name] = z + (own - z @ joint.directions) @ joint.directions.T
             values[name] = fit.target.chain_values(draws)
-        return z, values
+        return z, values, apart
 
     @cached_property
     def inertial_estimate(self) -> dict[str, Any]:
