@@ -18,7 +18,7 @@ import numpy as np
 from bayesfric.arm.arm_closed_loop import common_timing, own_columns
 from bayesfric.arm.arm_columns import layout_of
 from bayesfric.arm.arm_log import ArmLog, signals
-from bayesfric.arm.arm_options import ArmOptions
+from bayesfric.arm.arm_options import ArmOptions, Gain
 from bayesfric.arm.departures import (
     bodies_torques,
     common_delay,
@@ -181,7 +181,8 @@ class Arm:
             bodies, prior = bodies.under(departures.gravity), prior.widened(departures.widths)
             for log in logs:
                 log.scales = departures.scales
-            joints, models, torques = self._models(bodies, prior, logs, others, delay)
+            gains = departures.gains
+            joints, models, torques = self._models(bodies, prior, logs, others, delay, gains)
         urdf = JointConsistency(np.zeros((1, len(prior.deviations))), 1.0, 1.0, {}, ())
         arm = FittedArm(bodies, logs, joints, prior, urdf, departures, assumed, late)
         return arm, models, torques
@@ -193,6 +194,7 @@ class Arm:
         logs: Sequence[ArmLog],
         held_out: Sequence[str],
         delay: float,
+        gains: Mapping[str, float] = {},
     ) -> tuple[dict[str, FittedJoint], dict[str, Model], dict[str, list[Array]]]:
         """Make the joints that are to be fitted, and the models of those that can be.
 
@@ -221,7 +223,8 @@ class Arm:
                 if isinstance(effort, BadInput):
                     raise effort
                 further = own_columns(bodies, name, directions, logs, parameters)
-                models[name] = self._model(joint, logs, torques, further, held_out, delay)
+                settings = further, held_out, delay, gains.get(name)
+                models[name] = self._model(joint, logs, torques, *settings)
                 observations = models[name].observations
                 compared = [o.filter.apply(bodies_torques(o)) for o in observations]
                 urdf, *deviations = np.concatenate(compared, axis=1)
@@ -317,10 +320,12 @@ class Arm:
         further: Sequence[Mapping[str, Array]],
         held_out: Sequence[str],
         delay: float,
+        gain: Gain | None,
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque.
 
-        ``delay`` is that of positions after efforts, s, unless the joint's options have another.
+        ``delay`` is that of positions after efforts, s, and ``gain`` that of the drive, unless the
+        options have others.
         """
         joint, options = fitted.joint, self.options
         joint_options = self.options.of(joint.name)
@@ -337,7 +342,7 @@ class Arm:
             inertia = joint_options.rotor_inertia * joint_options.gear_ratio**2
             priors["motor.inertia"] = {**normal, "loc": inertia, "scale": 0.2 * inertia}
         delay = delay if joint_options.delay is None else joint_options.delay
-        gain = joint_options.gain or options.gain
+        gain = joint_options.gain or options.gain or gain
         if delay:
             priors["target.delay" if by_target else "drive.delay"] = delay
         if gain:

@@ -70,7 +70,8 @@ class Departures:
     joints: Mapping[str, tuple[float, float]]  # of those whose effort may have another scale
     bodies: tuple[float, float]  # of all together, by joints whose effort has none
     scales: Mapping[str, float]  # of efforts, which are undone
-    # 90 % ranges of the scales of `joints` over those undone, by all departures that data favour
+    gains: Mapping[str, float]  # relative sds of these, which fits estimate as gains of drives
+    # 90 % ranges of the scales of `joints` over those undone, by what data favour as well
     ranges: Mapping[str, tuple[float, float]]
     gravity: Vector
     widths: Array  # (n_deviations,) factors on standard deviations
@@ -79,11 +80,6 @@ class Departures:
     def changes(self) -> bool:
         """Whether the models change."""
         return any(departure.kind != "payload" for departure in self.included)
-
-    @property
-    def without_gravity(self) -> bool:
-        """Whether efforts hold no gravity."""
-        return Departure("gravity") in self.included
 
     def doubted(self, name: str, result: Result) -> Result:
         """Doubt the numbers of a joint that the scale of its effort multiplies, and widen them."""
@@ -300,18 +296,20 @@ def find_departures(
             n for n in names if any(x[:2] in (("effort", n), ("efforts", "")) for x in departures)
         ]
 
-    def scale_range(name: str, undone: float) -> tuple[float, float]:
-        """Range of the scale of a joint's effort by all that the data favour, over the undone."""
-        ends = []
-        for departures in (included, *others):
-            _, mean, covariance = evidence.posterior(departures)
-            scale, variance = abs(1.0 + mean[numbers[name]]), covariance[(numbers[name],) * 2]
-            width = math.exp(HALF * math.sqrt(variance) / scale)
-            ends += [scale / width, scale * width]
-        return float(min(ends) / abs(undone)), float(max(ends) / abs(undone))
+    def scale_of(departures: Sequence[Departure], name: str) -> tuple[float, float]:
+        """Scale of a joint's effort, and its relative sd."""
+        _, mean, covariance = evidence.posterior(departures)
+        value, variance = 1.0 + mean[numbers[name]], covariance[(numbers[name],) * 2]
+        return float(value), float(math.sqrt(variance) / abs(value))
 
-    scales = {name: float(1.0 + mean[numbers[name]]) for name in scaled(included)}
-    doubtful = scaled((*included, *alternatives))
+    scales = {name: scale_of(included, name) for name in scaled(included)}
+    doubtful, ranges = scaled((*included, *alternatives)), dict[str, tuple[float, float]]()
+    for name in doubtful:
+        undone, ends = abs(scales.get(name, (1.0,))[0]), [1.0]
+        for departures in others:
+            value, width = scale_of(departures, name)
+            ends += [abs(value) / undone * math.exp(side * HALF * width) for side in (-1.0, 1.0)]
+        ranges[name] = min(ends), max(ends)
     alone = [each.name for each in included if each.kind == "effort"]
     together = [j for name, j in numbers.items() if name not in alone]
     variances = np.ones(count)
@@ -326,8 +324,9 @@ def find_departures(
             for name in doubtful
         },
         factor(together, of_efforts=False) if together else (1.0, 0.0),
-        scales,
-        {name: scale_range(name, scales.get(name, 1.0)) for name in doubtful},
+        {name: value for name, (value, _) in scales.items()},
+        {name: width for name, (_, width) in scales.items()},
+        ranges,
         (0.0, 0.0, 0.0) if Departure("gravity") in included else bodies.gravity,
         np.sqrt(variances),
     )

@@ -121,22 +121,17 @@ class ExcitingTrajectory:
         return f"{template.render(joints=self.joints, points=points)}\n"
 
 
-def limits_of(bodies: Bodies, *, visited: Array | None = None) -> Limits:
+def limits_of(bodies: Bodies, visited: Array) -> Limits:
     """Take limits of position, speed and torque from a URDF.
 
     The acceleration limit reaches the speed limit in half a second. **Collisions with the arm
-    itself, a table or a wall are not checked**: with ``visited`` ``(n_joints, 2)`` each joint stays
-    in the range of its log, which is much safer, but joints meet in combinations that the log may
-    not have. Look at the motion in a simulator first. Without, endless joints get ±π.
+    itself, a table or a wall are not checked**: each joint stays in the range ``visited``
+    ``(n_joints, 2)`` of its log, but joints meet in combinations that the log may not have. Look at
+    the motion in a simulator first.
     """
-    joints = bodies.joints.values()
-    rows = [(joint.low, joint.high, joint.speed, joint.effort) for joint in joints]
+    rows = [(joint.low, joint.high, joint.speed, joint.effort) for joint in bodies.joints.values()]
     low, high, speed, torque = np.array(rows).T
-    if visited is None:
-        endless = [joint.endless for joint in joints]
-        low[endless], high[endless] = -math.pi, math.pi
-    else:
-        low, high = np.maximum(low, visited[:, 0]), np.minimum(high, visited[:, 1])
+    low, high = np.maximum(low, visited[:, 0]), np.minimum(high, visited[:, 1])
     return Limits(low, high, speed, 2.0 * speed, torque)
 
 
@@ -165,7 +160,7 @@ def next_motion(
         arm.bodies,
         present,
         {name: (_numbers(joint), _noise_density(joint)) for name, joint in arm.fitted.items()},
-        limits_of(arm.bodies, visited=arm.visited),
+        limits_of(arm.bodies, arm.visited),
         wanted=wanted,
         seconds=seconds,
         seed=seed,

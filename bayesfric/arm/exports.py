@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, fromstring, tost
 
 import numpy as np
 
+from bayesfric.arm.arm_log import signals
 from bayesfric.arm.arm_options import NUMBERS, Vector
 from bayesfric.arm.fitted_arm import FittedArm
 from bayesfric.arm.inertial_prior import (
@@ -97,8 +98,10 @@ def _identified(arm: FittedArm) -> Identified:
                 texts.append(f"{key} {row.value:.3g} {interval}, {row.reported.status}")
         remarks.append(f"{name}: {'; '.join(texts) or 'not fitted'}")
         if joint.result is not None:
-            deviations = mean if joint.by_all else joint.separate_deviations
-            linear[name] = prior.nominal + prior.spread @ deviations
+            posterior = joint.fitted.fit.posterior
+            names = [f"load.{signal}" for signal in signals(joint.directions.shape[1])]
+            separate = joint.directions @ [posterior[key].mean() for key in names]
+            linear[name] = prior.nominal + prior.spread @ (mean if joint.by_all else separate)
         if joint.result is not None and not joint.by_all:
             remarks.append(f"{name}: of its separate fit, whose bodies feedforward.py alone has")
         if directional := [key for key in NUMBERS if len(joint.number_rows(key)) > 1]:

@@ -145,13 +145,6 @@ class FittedJoint:
         draws = self.coefficients(self.fitted.fit.wide.posterior.flat())
         return InertialLikelihood.from_draws(draws, self.directions)
 
-    @property
-    def separate_deviations(self) -> Array:
-        """Mean deviations ``(n_deviations,)`` of the inertial parameters by this fit alone."""
-        posterior = self.fitted.fit.posterior
-        names = [f"load.{signal}" for signal in signals(self.directions.shape[1])]
-        return np.asarray(self.directions @ [posterior[name].mean() for name in names])
-
     def draws(self, z: Array, rng: np.random.Generator) -> Array:
         """Draw parameters ``(n, d)`` given deviations ``(n, n_deviations)``.
 
@@ -181,7 +174,7 @@ class FittedJoint:
         if joint.by_all:
             draws = self.draws(z[rng.integers(len(z), size=_DRAWS)], rng)
             draws = draws[np.isfinite(draws).all(axis=1)]
-            posterior = _with_draws(posterior, draws)
+            posterior = posterior.with_draws(draws)
             joint = replace(joint, rows=self._updated_rows(posterior))
         if not model.held_out:
             return joint
@@ -206,7 +199,7 @@ class FittedJoint:
         predictions = []
         for centre, band in zip(
             predict_held_out(fit.target, posterior, held_out),
-            predict_held_out(fit.target, _with_draws(wide, draws), held_out),
+            predict_held_out(fit.target, wide.with_draws(draws), held_out),
             strict=True,
         ):
             n, size = len(band.torque), self.repeatability.effort / math.sqrt(2.0)
@@ -452,16 +445,6 @@ class FittedArm:
         files = {"arm.json": f"{record}\n", "arm.html": page}
         write_files({folder / name: text for name, text in files.items()}, replace=True)
         return folder / "arm.html"
-
-
-def _with_draws(posterior: Posterior, draws: Array) -> Posterior:
-    """Replace the draws of a posterior by others ``(n, d)``, as of one chain."""
-    return replace(
-        posterior,
-        draws=draws[None, None],
-        log_density=np.full((1, 1, len(draws)), np.nan),
-        diagnostics=replace(posterior.diagnostics, acceptance=np.ones((1, 1))),
-    )
 
 
 def _cell(row: PosteriorRow | None) -> tuple[str, str]:

@@ -50,7 +50,6 @@ class UrdfJoint:
     name: str
     motion: Motion
     mimics: tuple[str, float, float] | None = None  # joint, multiplier, offset
-    endless: bool = False  # continuous
     low: float = -math.inf  # limits of position
     high: float = math.inf
     speed: float = 0.0  # limits of size
@@ -453,9 +452,7 @@ def _joints(path: Path) -> dict[str, UrdfJoint]:
                 low, high = -math.inf, math.inf
             multiplier, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
             source = (mimic.get("joint", ""), multiplier, offset) if mimic else None
-            endless = kind == "continuous"
-            limits = low, high, speed, effort
-            joints[name] = UrdfJoint(name, _MOTIONS[kind], source, endless, *limits)
+            joints[name] = UrdfJoint(name, _MOTIONS[kind], source, low, high, speed, effort)
     except (ElementTree.ParseError, ValueError) as error:
         raise BadInput(str(path), f"is no URDF ({error})", "give what xacro makes") from None
     if not joints:

@@ -32,8 +32,6 @@ class InertialLikelihood:
     @classmethod
     def from_draws(cls, draws: Array, directions: Array) -> InertialLikelihood:
         """Divide posterior draws ``(n, k)`` of ``directions`` by their standard normal prior."""
-        if not directions.shape[1]:
-            return cls.uninformative(len(directions))
         precision = np.linalg.inv(np.atleast_2d(np.cov(draws.T)))
         size, axes = np.linalg.eigh(precision - np.eye(len(precision)))
         # elsewhere sampling error and discrepancy left the prior as it was
@@ -41,11 +39,6 @@ class InertialLikelihood:
         information = (informed * size) @ informed.T
         vector = informed @ (informed.T @ (precision @ draws.mean(axis=0)))
         return cls(directions @ information @ directions.T, directions @ vector)
-
-    @classmethod
-    def uninformative(cls, count: int) -> InertialLikelihood:
-        """Return a constant likelihood of so many deviations."""
-        return cls(np.zeros((count, count)), np.zeros(count))
 
     def __add__(self, other: InertialLikelihood) -> InertialLikelihood:
         return InertialLikelihood(self.information + other.information, self.vector + other.vector)
@@ -107,8 +100,8 @@ def combine_joints(
     is excluded, the least likely first: position-dependent friction looks like an inertial
     parameter to that joint alone.
     """
-    constant = InertialLikelihood.uninformative(len(prior.deviations))
-    agreed = [*likelihoods]
+    count, agreed = len(prior.deviations), [*likelihoods]
+    constant = InertialLikelihood(np.zeros((count, count)), np.zeros(count))
 
     def p_value(name: str) -> float:
         others = (likelihoods[other] for other in agreed if other != name)

@@ -65,13 +65,8 @@ class Fit:
         """
         posterior = self.posterior
         if self.widened_draws is not None:
-            reported = self.widened_draws[None, None]
-            unknown = np.full(reported.shape[:-1], np.nan)
             # walkers are unknown; those that never moved were excluded
-            diagnostics = replace(posterior.diagnostics, acceptance=np.ones(reported.shape[:2]))
-            widened = replace(
-                posterior, draws=reported, log_density=unknown, diagnostics=diagnostics
-            )
+            widened = posterior.with_draws(self.widened_draws)
             return replace(self, posterior=widened, widened_draws=None)
         if self.discrepancy is None or not self.discrepancy.moved:
             return self

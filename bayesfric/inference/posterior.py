@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,16 @@ class Posterior:
         if max_count is None or max_count >= len(flat):
             return flat
         return np.asarray(flat[np.linspace(0, len(flat) - 1, max_count).astype(int)])
+
+    def with_draws(self, draws: Array) -> Self:
+        """Replace the draws by others ``(n, d)``, as of one walker, of unknown density."""
+        shape = 1, 1, len(draws)
+        return replace(
+            self,
+            draws=draws[None, None],
+            log_density=np.full(shape, np.nan),
+            diagnostics=replace(self.diagnostics, acceptance=np.ones(shape[:2])),
+        )
 
     def prior_draws(self, number: int, key: int) -> Array:
         """Draw from the priors, ``(number, d)``, with a random stream ``key``."""

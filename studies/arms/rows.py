@@ -161,7 +161,9 @@ def one_arm(folder: Path, row: dict, seed: int, *, fit: bool) -> dict:
             [name, key, value, *row_of.reported.interval, row_of.reported.status]
             for name, x in examined.fitted.items()
             for key, value in {**truth[name], "drive.gain": gains[name]}.items()
-            if (row_of := x.rows.get(key)) and row_of.reported.interval
+            if (key != "drive.gain" or row.get("gains"))  # else it is over what is undone
+            and (row_of := x.rows.get(key))
+            and row_of.reported.interval
         ]
     return {**record, "cpu_seconds": round(timer.cpu_seconds, 1)}
 
