@@ -122,8 +122,9 @@ class Arm:
                 if timing is not None and name in closed:
                     model = timing.known(name, model)
                 else:  # which has an effort
-                    joint, log = joints[name], arm.logs[0]
-                    joints[name] = self._with_coupling(joint, model, log, torques[name])
+                    joints[name] = self._with_coupling(
+                        joints[name], model, arm.logs[0], torques[name]
+                    )
                 try:
                     result = arm.departures.doubted(name, model.fit(seed=seed, progress=report))
                     joints[name] = replace(joints[name], result=result)

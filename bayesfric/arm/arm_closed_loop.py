@@ -107,7 +107,7 @@ def followed(
     log: ArmLog,
     measured: Mapping[str, Measurement],
     fits: Mapping[str, Fit],
-    inertial: Mapping[str, Array],
+    inertial: Array,
     values: Mapping[str, Array],
     restarts: Flags,
     rng: np.random.Generator,
@@ -115,33 +115,28 @@ def followed(
 ) -> Array:
     """Simulate joints that follow their targets, as encoders read them: ``(draws, n_joints, n)``.
 
-    ``inertial`` ``(draws, 10 n_links)`` and ``values`` by joint are draws, with noise of the fits:
-    a joint that contradicts the others has bodies of its own. Each joint is simulated along the
-    others' motion, in turns until none changes (waveform relaxation; Lelarasmee, Ruehli and
-    Sangiovanni-Vincentelli, IEEE Transactions on Computer-Aided Design 1 (1982) 131-145).
+    ``inertial`` ``(draws, 10 n_links)`` and ``values`` by joint are draws, with noise of the fits.
+    Each joint is simulated along the others' motion, in turns until none changes (waveform
+    relaxation; Lelarasmee, Ruehli and Sangiovanni-Vincentelli, IEEE Transactions on Computer-Aided
+    Design 1 (1982) 131-145).
     """
     starts = np.flatnonzero(restarts)
     segments = np.stack([starts, np.append(starts[1:], log.time.size)], axis=1)
     driven = [list(bodies.joints).index(name) for name in fits]
-    count = min(map(len, inertial.values()))
-    out = np.empty((count, len(fits), log.time.size))
+    out = np.empty((len(inertial), len(fits), log.time.size))
     period = float(np.median(np.diff(log.time)))
-    for k in range(count):
-        progress(Progress(f"roll-out {k + 1} of {count}"))
-        motion = log.motion.copy()
-        dynamics = {id(drawn): bodies.dynamics(drawn[k]) for drawn in inertial.values()}
+    for k in range(len(inertial)):
+        progress(Progress(f"roll-out {k + 1} of {len(inertial)}"))
+        dynamics, motion = bodies.dynamics(inertial[k]), log.motion.copy()
         noise = [
             _disturbance(fit, values[name][k], log.time.size, period, rng)
             for name, fit in fits.items()
         ]
         for _ in range(_TURNS):
-            states, along = motion[:2].transpose(2, 0, 1), dict[int, list[Array]]()
-            for key, of_state in dynamics.items():
-                pairs = zip(*(of_state(q, qd) for q, qd in states), strict=True)
-                along[key] = [np.array(x) for x in pairs]
+            along = [dynamics(q, qd) for q, qd in motion[:2].transpose(2, 0, 1)]
+            mass, bias = (np.array(x) for x in zip(*along, strict=True))
             before = motion[0].copy()
             for j, name, (push, *_) in zip(driven, fits, noise, strict=True):
-                mass, bias = along[id(inertial[name])]
                 own_inertia = mass[:, j, j]
                 torque = bias[:, j] + np.einsum("nj,jn->n", mass[:, j], motion[2])
                 columns = {"load_torque inertia": own_inertia, ACCELERATION: motion[2, j]}

@@ -110,7 +110,7 @@ def rollout(
         problem = f"is {seconds:g}, a sample is {step:.3g} s"
         raise BadInput("seconds of a roll-out", problem, "increase it")
     driven = np.array([list(bodies.joints).index(name) for name in fitted])
-    z, values, apart = arm.draw(draws, rng)
+    z, values = arm.draw(draws, rng)
     columns = arm.prior.columns(loaded=log.loaded)
     inertial = columns[:, 0] + z @ columns[:, 1:].T
     measured = [log.measured(bodies.joints[name]) for name in fitted]
@@ -128,11 +128,7 @@ def rollout(
     if arm.timing is not None:
         fits = {name: joint.fitted.fit for name, joint in fitted.items()}
         laws = dict(zip(fitted, measured, strict=True))
-        by_joint = {name: columns[:, 0] + x @ columns[:, 1:].T for name, x in apart.items()}
-        inertial_of = {name: by_joint.get(name, inertial) for name in fitted}
-        return played(
-            followed(bodies, log, laws, fits, inertial_of, values, restarts, rng, progress)
-        )
+        return played(followed(bodies, log, laws, fits, inertial, values, restarts, rng, progress))
     friction = [_friction(joint, values[name]) for name, joint in fitted.items()]
     # residual efforts of the first log
     columns = arm.prior.columns(loaded=first.loaded)

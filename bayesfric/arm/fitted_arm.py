@@ -321,32 +321,24 @@ class FittedArm:
         q = np.concatenate([log.motion[0] for log in self.logs], axis=1)
         return np.stack([q.min(axis=1), q.max(axis=1)], axis=1)
 
-    def draw(
-        self, count: int, rng: np.random.Generator
-    ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[Array, dict[str, Array]]:
         """Draw inertial parameters and joints together, without model discrepancy.
 
-        Returns deviations ``(count, n_deviations)``, zero where no joint agrees; by joint
-        parameters ``(count, n_parameters)`` in the order of its fit's chain; and the deviations
-        that go with these of a joint that does not agree.
+        Returns deviations ``(count, n_deviations)``, zero where no joint agrees, and by joint
+        parameters ``(count, n_parameters)`` in the order of its fit's chain.
         """
-        consistency, apart = self.consistency, dict[str, Array]()
-        values = dict[str, Array]()
+        consistency, values = self.consistency, {}
         urdf = np.zeros((1, len(self.prior.deviations)))
         z = rng.choice(consistency.draws if consistency.agreed else urdf, count)
         for name, joint in self.fitted.items():
             fit = joint.fitted.fit
             draws = rng.choice(fit.posterior.flat(), count)
-            if joint.agrees:  # draws outside their bounds stay as they were
-                conditional = joint.draws(z, rng)
-                inside = np.isfinite(conditional).all(axis=1, keepdims=True)
-                draws = np.where(inside, conditional, draws)
-            else:
-                names = [f"load.{signal}" for signal in signals(joint.directions.shape[1])]
-                own = draws[:, [fit.posterior.names.index(column) for column in names]]
-                apart[name] = z + (own - z @ joint.directions) @ joint.directions.T
+            # all move with the same bodies; draws outside their bounds stay as they were
+            conditional = joint.draws(z, rng)
+            inside = np.isfinite(conditional).all(axis=1, keepdims=True)
+            draws = np.where(inside, conditional, draws)
             values[name] = fit.target.chain_values(draws)
-        return z, values, apart
+        return z, values
 
     @cached_property
     def inertial_estimate(self) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def test_numbers_and_timing_of_a_leg_are_the_true_ones(arm):
     assert arm.timing.instants[0] == pytest.approx(INSTANTS, rel=0.15)
 
 
-@pytest.mark.parametrize("agree", [True, False], ids=["as fitted", "by bodies of their own"])
+@pytest.mark.parametrize("agree", [True, False], ids=["as fitted", "contradictory"])
 def test_another_motion_is_followed_from_its_targets(arm, agree):
     """All joints at once, without a restart: the error is small beside that of the control."""
     joints = {name: replace(joint, agrees=agree) for name, joint in arm.joints.items()}
