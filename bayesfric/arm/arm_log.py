@@ -66,9 +66,9 @@ class ArmLog:
         every = self._open(read_table(path, TableOptions.model_validate(keys)), joints)
         held = {name: x.held for name, x in options.joints.items() if x.held is not None}
         every = (self._of_motors(every[0], joints, options.coupling, held), *every[1:])
-        processing, self._needed_rate, most = options.processing, math.inf, max_samples
+        processing, self._needed_rate, row_limit = options.processing, math.inf, max_samples
         while True:  # until the rate is what the motion needs
-            self._keep(every, most)
+            self._keep(every, row_limit)
             motions = [held[n] if n in held else self._joint_motion(x) for n, x in joints.items()]
             moving = [motion for motion in motions if isinstance(motion, Measurement)]
             if not moving:
@@ -78,7 +78,7 @@ class ArmLog:
             faster = min(1.0 / moving[0].period, self._needed_rate) / rate
             if faster < 2.0 or not processing.chooses_band:
                 break
-            self._needed_rate, most = rate, int(max_samples * min(faster, _ROWS))
+            self._needed_rate, row_limit = rate, int(max_samples * min(faster, _ROWS))
         self.time = moving[0].time
         self.motion, filter_of = np.zeros((3, len(motions), self.time.size)), iter(filters)
         for k, motion in enumerate(motions):
@@ -169,12 +169,12 @@ class ArmLog:
         names = [*cells]
         return Table(table.where, names, lambda i: cells[names[i]], notes=table.notes)
 
-    def _keep(self, every: tuple[Table, Array, tuple[int, int]], most: int) -> None:
-        """Keep the chosen rows; of more than ``most`` some, as segments all over the log."""
+    def _keep(self, every: tuple[Table, Array, tuple[int, int]], row_limit: int) -> None:
+        """Keep the chosen rows; of more than ``row_limit`` some, as segments all over the log."""
         self.table, self._stamps, (first, last) = every
-        if last - first > most:
+        if last - first > row_limit:
             # start and stop count from the first row
-            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, most)]
+            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, row_limit)]
             rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
             self.table, self._stamps = self.table.at(rows, self.rows), self._stamps[rows]
 

@@ -369,8 +369,8 @@ class Regression:
             if _contains(remaining[:d], scaled):
                 variance = float(gradient @ covariance[:d, :d] @ gradient)
                 moves[name] = float(gradient @ shift) / math.sqrt(variance)
-                most = COLLINEAR * np.sqrt(variance * covariance.diagonal()[split:])
-                collinear = bool(np.all(np.abs(gradient @ covariance[:d, split:]) > most))
+                limits = COLLINEAR * np.sqrt(variance * covariance.diagonal()[split:])
+                collinear = bool(np.all(np.abs(gradient @ covariance[:d, split:]) > limits))
             # a parameter that a delay replaces is its rival: neither is then known
             if effect.kind == DELAYS[False] and collinear and _contains(determined[:d], scaled):
                 own.append(name.rpartition(".")[2])

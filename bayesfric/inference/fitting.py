@@ -98,8 +98,8 @@ class Fit:
         """Draws ``(n, d)`` for predictions: 200, fewer for long recordings or closed loops."""
         likelihood = self.target.likelihood
         outputs = sum(o.measured.size for o in likelihood.outputs)
-        most = 40 if likelihood.method == "closed-loop" else 200
-        return self.posterior.flat(max(10, min(most, 2_000_000 // outputs)))
+        count = 40 if likelihood.method == "closed-loop" else 200
+        return self.posterior.flat(max(10, min(count, 2_000_000 // outputs)))
 
     @cached_property
     def residuals(self) -> list[Array]:

@@ -317,13 +317,13 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
     return source.model_copy(update=update), table.decoded(decoded, notes)
 
 
-def _in_parts(source: Columns, table: Table, time: Array, most: int) -> tuple[Table, Array]:
-    """Limit a long recording to ``most`` samples, in up to eight parts all over what is chosen."""
+def _in_parts(source: Columns, table: Table, time: Array, max_samples: int) -> tuple[Table, Array]:
+    """Limit a long recording to ``max_samples`` samples, in up to eight parts all over what is chosen."""
     first, last = chosen_rows(source, time, table.where)
     # between parts there must be gaps
-    if last - first <= most + measurement.LEAST_SAMPLES:
+    if last - first <= max_samples + measurement.LEAST_SAMPLES:
         return table, time
-    ranges = measurement.spread_ranges(last - first, most)
+    ranges = measurement.spread_ranges(last - first, max_samples)
     rows = np.concatenate([np.arange(first + a, first + b) for a, b in ranges])
     note = f"time: {rows.size} of {last - first} samples are used, in {len(ranges)} parts all over "
     note += "the recording (max_samples)"
