@@ -318,7 +318,7 @@ def decoded(source: Columns, table: Table, drive: Drive) -> tuple[Columns, Table
 
 
 def _in_parts(source: Columns, table: Table, time: Array, max_samples: int) -> tuple[Table, Array]:
-    """Limit a long recording to ``max_samples`` samples, in up to eight parts all over what is chosen."""
+    """Limit a recording to ``max_samples``, in up to eight parts all over what is chosen."""
     first, last = chosen_rows(source, time, table.where)
     # between parts there must be gaps
     if last - first <= max_samples + measurement.LEAST_SAMPLES:
