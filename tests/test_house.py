@@ -6,6 +6,7 @@ for types alone, too.
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
@@ -46,10 +47,14 @@ FILES = {
     ".".join(path.relative_to(REPOSITORY).with_suffix("").parts).removesuffix(".__init__"): path
     for path in HOUSE.rglob("*.py")
 }
-IMPORTS = {
-    name: set(modules_of(ast.parse(path.read_text(encoding="utf-8")))) & FILES.keys()
-    for name, path in FILES.items()
-}
+
+
+@cache  # takes a second, which every process that collects tests would spend
+def imports():
+    return {
+        name: set(modules_of(ast.parse(path.read_text(encoding="utf-8")))) & FILES.keys()
+        for name, path in FILES.items()
+    }
 
 
 def place(name: str) -> str:
@@ -68,7 +73,7 @@ ROOMS = sorted({room(name) for name in FILES})
 def test_no_circle_is_inside_a_room(name):
     files = {file for file in FILES if room(file) == name}
     try:
-        TopologicalSorter({file: IMPORTS[file] & files for file in files}).prepare()
+        TopologicalSorter({file: imports()[file] & files for file in files}).prepare()
     except CycleError as error:
         pytest.fail(" imported by ".join(error.args[1]))
 
@@ -85,7 +90,7 @@ def test_a_place_imports_only_what_lies_below_it(name):
         f"{file} imports {other}"
         for file in FILES
         if place(file) == name
-        for other in IMPORTS[file]
+        for other in imports()[file]
         if place(other) not in below
     ]
     assert not above

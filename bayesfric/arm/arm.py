@@ -121,7 +121,10 @@ class Arm:
                 report(Progress(name))
                 if timing is not None and name in closed:
                     model = timing.known(name, model)
-                joints[name] = self._with_coupling(joints[name], model, arm.logs[0], torques[name])
+                else:  # which has an effort
+                    joints[name] = self._with_coupling(
+                        joints[name], model, arm.logs[0], torques[name]
+                    )
                 try:
                     result = arm.departures.doubted(name, model.fit(seed=seed, progress=report))
                     joints[name] = replace(joints[name], result=result)

@@ -333,10 +333,10 @@ class FittedArm:
         for name, joint in self.fitted.items():
             fit = joint.fitted.fit
             draws = rng.choice(fit.posterior.flat(), count)
-            if joint.agrees:  # draws outside their bounds stay as they were
-                conditional = joint.draws(z, rng)
-                inside = np.isfinite(conditional).all(axis=1, keepdims=True)
-                draws = np.where(inside, conditional, draws)
+            # all move with the same bodies; draws outside their bounds stay as they were
+            conditional = joint.draws(z, rng)
+            inside = np.isfinite(conditional).all(axis=1, keepdims=True)
+            draws = np.where(inside, conditional, draws)
             values[name] = fit.target.chain_values(draws)
         return z, values
 

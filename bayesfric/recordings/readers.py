@@ -166,10 +166,9 @@ def _open_text(path: Path) -> Iterator[TextIO]:
             yield io.TextIOWrapper(data, encoding="utf-16" if wide else "utf-8-sig")
         except UnicodeDecodeError as error:
             # of what was read last
-            place, kind = data.tell() - len(error.object) + error.start, "UTF-16" * wide or "UTF-8"
-            raise BadInput(
-                f"{path}, byte {place}", f"is not {kind} text", "save it as UTF-8"
-            ) from error
+            where = f"{path}, byte {data.tell() - len(error.object) + error.start}"
+            problem = f"is not UTF-{16 if wide else 8} text"
+            raise BadInput(where, problem, "save it as UTF-8") from error
 
 
 def _read_text(path: Path) -> str:
@@ -246,8 +245,8 @@ def _texts(path: Path, lines: Iterable[tuple[int, str]], width: int, delimiter: 
 
     def load(index: int) -> NDArray[Any]:
         cells = np.array([row[index] for row in rows], dtype=object)
-        words = [cell.lower() for cell in cells] if cells[0].lower() in ("true", "false") else [""]
-        return np.array(words) == "true" if {*words} <= {"true", "false"} else cells
+        flags = {*cells} <= {"True", "TRUE", "true", "False", "FALSE", "false"}
+        return np.char.lower(cells.astype(str)) == "true" if flags else cells
 
     return load
 

@@ -158,9 +158,7 @@ class Effort(Channel):
 class Torque(Effort, Filtered):
     """The motor torque (or force) itself, or a signal proportional to it."""
 
-    constant: str | None = Field(
-        None, description="What turns the signal into a torque, such as '35.15 N/V'."
-    )
+    constant: str | None = Field(None, description="Torque per unit of it, such as '35.15 N/V'.")
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
@@ -221,9 +219,7 @@ class Columns(Options):
     position: Position | None = Field(
         None, description="The position; without it 'velocity' is integrated, for no term of it."
     )
-    velocity: Velocity | None = Field(
-        None, description="The velocity channel, in place of the differentiated position."
-    )
+    velocity: Velocity | None = Field(None, description="The velocity, if it was measured.")
     torque: Torque | None = Field(None, description="The torque channel, or ...")
     current: Current | None = Field(None, description="... the current channel, or ...")
     voltage: Voltage | None = Field(None, description="... the voltage channel.")
@@ -232,18 +228,12 @@ class Columns(Options):
         description="The position that the drive goes for and its controller's gains; in place of "
         "the torque where none was recorded. Beside it, a roll-out closes the loop.",
     )
-    load_torque: Channel | None = Field(
-        None, description="Torque on the load from outside, positive towards higher positions."
-    )
-    temperature: Channel | None = Field(
-        None, description="The joint's temperature, in 'degC' or 'K'."
-    )
+    load_torque: Channel | None = Field(None, description="External torque, positive as positions.")
+    temperature: Channel | None = Field(None, description="The joint's temperature, 'degC' or 'K'.")
     others: tuple[str | int, ...] = Field(
         (), description="Further columns, as of other joints, that may explain the torque."
     )
-    steady: bool = Field(
-        False, description="true: every row is a point at constant speed, of velocity and torque."
-    )
+    steady: bool = Field(False, description="true: each row is a point at constant speed.")
     start: Seconds | None = Field(None, description="Leave out what lies before, s from the first.")
     stop: Seconds | None = Field(None, description="Leave out what lies after, s from the first.")
     exclude: tuple[tuple[Seconds, Seconds], ...] = Field(
@@ -364,9 +354,7 @@ class Processing(Options):
     trim: Seconds | None = Field(
         None, description="Cut off each segment's ends, s; by samples and low-pass if left out."
     )
-    max_samples: int = Field(
-        1_000_000, ge=1000, description="Samples of a longer recording that are used, in parts."
-    )
+    max_samples: int = Field(1_000_000, ge=1000, description="Used at most, spread in segments.")
 
     @property
     def chooses_band(self) -> bool:

@@ -41,7 +41,9 @@ def main() -> None:
     parser.add_argument("--pythons", nargs="+", default=[sys.executable])
     parser.add_argument("--samples", nargs="*", default=[str(10**k) for k in range(4, 8)])
     options = parser.parse_args()
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    # what pip installs has its bytecode, too
+    unset = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE")
+    environment = {name: value for name, value in os.environ.items() if name not in unset}
     runs = ["--runs", str(options.runs)]
     rows = {}
     with tempfile.TemporaryDirectory() as name:

@@ -1,6 +1,6 @@
 """Run the tutorials and save their outputs.
 
-``python studies/tutorials/run.py`` runs all six, ``run.py first_joint a_fleet`` some of them;
+``python studies/tutorials/run.py`` runs all seven, ``run.py first_joint a_fleet`` some of them;
 ``--check`` saves nothing. Needs ``pip install '.[tutorials]'``.
 """
 
@@ -22,6 +22,7 @@ NAMES = (
     "first_joint",
     "what_the_data_cannot_tell",
     "which_friction_model",
+    "commands_and_encoders",
     "to_mujoco_and_a_controller",
     "a_fleet",
     "a_whole_arm",

@@ -1,5 +1,7 @@
 """An arm of which only targets and positions are known, simulated by MuJoCo."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pandas as pd
@@ -85,9 +87,11 @@ def test_numbers_and_timing_of_a_leg_are_the_true_ones(arm):
     assert arm.timing.instants[0] == pytest.approx(INSTANTS, rel=0.15)
 
 
-def test_another_motion_is_followed_from_its_targets(arm):
+@pytest.mark.parametrize("agree", [True, False], ids=["as fitted", "contradictory"])
+def test_another_motion_is_followed_from_its_targets(arm, agree):
     """All joints at once, without a restart: the error is small beside that of the control."""
-    played = rollout(arm, seconds=np.inf, draws=4, seed=1)
+    joints = {name: replace(joint, agrees=agree) for name, joint in arm.joints.items()}
+    played = rollout(replace(arm, joints=joints), seconds=np.inf, draws=4, seed=1)
     log = arm.logs[-1]
     for name, rms in played.rms.items():
         law = log.measured(arm.bodies.joints[name]).law

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pint
@@ -23,7 +24,6 @@ from bayesfric.mechanism.quantities import (
 )
 from tests.mechanism.joints import KNEE
 
-UNITS = pint.UnitRegistry()
 ROWS = {
     row.name: row
     for row in (*QUANTITIES.values(), *(q for wave in CYCLES.values() for q in wave(3)))
@@ -51,8 +51,13 @@ def column(row, state):
     return np.broadcast_to(row.column(state, *((0.7,) if row.shape else ())), state.speed.shape)
 
 
+@cache  # takes half a second, which every process that collects tests would spend
+def units():
+    return pint.UnitRegistry()
+
+
 def unit_of(text):
-    return UNITS.Unit(text) if text else UNITS.dimensionless
+    return units().Unit(text) if text else units().dimensionless
 
 
 def grows(scaled, base, factor):
@@ -86,9 +91,9 @@ def test_a_unit_times_its_column_is_a_torque(name, motion):
         assert name == "first_moment"  # a weight that slides is a constant
         return
     if row.signal == "torque_rate":
-        known = UNITS.Unit("N m / s") if motion == "rotary" else UNITS.Unit("N/s")
+        known = units().Unit("N m / s") if motion == "rotary" else units().Unit("N/s")
     elif name == "first_moment":
-        known = UNITS.Unit("m / s**2")
+        known = units().Unit("m / s**2")
     else:
         slower = base._replace(
             speed=base.speed / 2.0, acceleration=base.acceleration / 4.0, time=2.0 * base.time
@@ -97,13 +102,13 @@ def test_a_unit_times_its_column_is_a_torque(name, motion):
             scaled = row.column(slower, 1.4)
         else:  # a power is given at a speed of one
             scaled = column(row, base if name == "power" else slower)
-        known = UNITS.second ** grows(scaled, column(row, base), 2.0)
+        known = units().second ** grows(scaled, column(row, base), 2.0)
         if motion == "linear" and name != "power" and not any(x in name for x in ("sin", "cos")):
-            known *= UNITS.metre ** grows(column(row, moved(base, 2.0)), column(row, base), 2.0)
+            known *= units().metre ** grows(column(row, moved(base, 2.0)), column(row, base), 2.0)
         if row.signal == "temperature":
-            known *= UNITS.kelvin
+            known *= units().kelvin
     whole = unit_of(row.unit(motion)) * known
-    wanted = UNITS.Unit("N m") if motion == "rotary" else UNITS.newton
+    wanted = units().Unit("N m") if motion == "rotary" else units().newton
     assert whole.dimensionality == wanted.dimensionality
 
 

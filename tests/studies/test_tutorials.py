@@ -52,6 +52,17 @@ def which_friction_model(text):
     assert re.search(r"simulated, complete: of \d+ kinds 0 are found", text)
 
 
+def commands_and_encoders(text):
+    assert numbers("# of 4 true values in their 90 % interval", text)[0] >= 3
+    assert "drive.kp can all be multiplied by one factor" in text
+    for value, sd, true in re.findall(rf"_over_kp: {NUMBER} ± {NUMBER}, true {NUMBER}", text):
+        assert abs(float(value) - float(true)) < 4.0 * float(sd)
+    (came,) = numbers("the file as it came: # mrad", text)
+    (fitted,) = numbers("with fitted numbers: # mrad", text)
+    (best,) = numbers("with the true ones:  # mrad", text)
+    assert fitted < 1.2 * best < 0.2 * came
+
+
 def to_mujoco_and_a_controller(text):
     assert "gearbox.load = " in text
     (plain,) = numbers("MuJoCo as it is, from our roll-out: +# mrad", text)
