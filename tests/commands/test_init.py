@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayesfric.arm.arm_options import ArmOptions
 from bayesfric.fleet.plan import FleetTables, read_plan
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Tables, parse_config, read_config
@@ -335,7 +336,7 @@ CONFIGURATIONS = sorted(
 
 @pytest.fixture(scope="module")
 def validators():
-    models = {"configuration": Tables, "fleet": FleetTables}
+    models = {"configuration": Tables, "fleet": FleetTables, "arm": ArmOptions}
     return {
         kind: jsonschema.Draft202012Validator(model.model_json_schema())
         for kind, model in models.items()
@@ -360,7 +361,8 @@ def test_every_key_is_printed_with_its_meaning(bench, validators, kind):
 
 @pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda path: path.stem)
 def test_configurations_of_the_repository_suit_the_schema(path, validators):
-    validators["configuration"].validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    kind = "arm" if path.stem == "arm" else "configuration"
+    validators[kind].validate(tomllib.loads(path.read_text(encoding="utf-8")))
 
 
 def test_the_schema_is_written(bench, validators):
