@@ -138,6 +138,8 @@ def recorded(row: str, number: int) -> tuple[bf.Joint, bf.Recording, dict[str, A
     truth = {f"motor.{n}": true[n] for n in names[:3]} | {"target.delay": true["delay"]}
     if smooth:  # half of the time that the drive holds its own targets
         truth["target.delay"] += 0.5 * passes * STEP
+    if loop := options.get("loop"):  # a target waits for the drive's next turn
+        truth["target.delay"] = loop * np.ceil(true["delay"] / loop - 1e-9)
     truth |= {"drive.kp": kp} if options.get("unknown") else {}
     if is_servo:
         priors = {"load.first_moment": 0.0, "load.inertia": 0.0}
