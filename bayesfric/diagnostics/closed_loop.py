@@ -3,8 +3,7 @@
 A candidate is a torque along the motion that the model makes of the targets alone, which no error
 of a prediction has touched (an instrument). What the filter makes of it in every prediction, over
 the predictions' sds, is its column, less what the model's own terms along the same motion make of
-it. Errors of a right model are independent and standard normal,
-which is what replicates hold.
+it. Errors of a right model are independent and standard normal, which is what replicates hold.
 """
 
 from __future__ import annotations
