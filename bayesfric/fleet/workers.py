@@ -87,11 +87,14 @@ def fit_units(
 def fit_unit(text: str, folder: str, *, template: str, draws: int | None) -> tuple[str, float]:
     """Fit a unit, and return why it cannot be fitted (or nothing) and CPU seconds.
 
-    File names in ``text`` are relative to the folder of ``template``.
+    File names in ``text`` are relative to the folder of ``template``. Dask runs a task again whose
+    worker died before it reported: what was stored by then is not fitted again.
     """
     import dask
 
     start = time.process_time()
+    if is_fitted(Path(folder), text, Path(template)):
+        return "", 0.0
     try:
         # otherwise xarray locks files by the scheduler
         with dask.config.set(scheduler="synchronous"):
